@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from math import pi
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from bench.base.errors import BenchError, did_you_mean
 from drivers.base.ranges import Above, AtLeast, AtMost, Range, short
@@ -384,3 +384,27 @@ def _holds(mark: Any, value: Any) -> bool:
             return bool(value <= bound)
         case _:
             return True
+
+
+Checked = TypeVar("Checked")
+
+
+def checked_values(
+    kind: type[Checked], content: Mapping[str, Any], location: str, action: str = "Measure again."
+) -> Checked:
+    """Return the values of dataclass `kind` in `content`, whose keys are its fields.
+
+    Raises:
+        ExceptionGroup: one BenchError at `location`, with `action`, per value that is missing, unknown, of
+            the wrong type or out of range.
+    """
+    faults: list[BenchError] = []
+    file = Path(location)
+    listed = {key: list(value) if isinstance(value, tuple) else value for key, value in content.items()}
+    builder = Builder(as_tree(listed, file, faults), file, action, "Give it.", faults=faults)
+    values: Any = builder.build(kind)
+    if faults:
+        for fault in faults:
+            fault.location = fault.location.removesuffix(": ")  # of the values as a whole
+        raise ExceptionGroup(f"{location} is invalid", faults)
+    return values  # type: ignore[no-any-return]

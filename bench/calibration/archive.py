@@ -10,15 +10,16 @@ from sqlalchemy import Engine, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
 from bench.base.errors import BenchError
-from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics, aerodynamics_values
+from bench.base.from_toml import checked_values
+from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics
 from bench.calibration.calibration import (
-    KINDS,
     VALID_DAYS,
     Calibration,
     CalibrationKind,
     Entry,
     Values,
     content_of,
+    kind_of,
     values_of,
 )
 from bench.config import Configuration, database_url
@@ -40,7 +41,7 @@ def keep_calibration(
     Raises:
         BenchError: as `add_calibration`, or the database cannot be opened.
     """
-    bench, expires = configuration.bench, now + timedelta(days=days or VALID_DAYS[_kind_of(values)])
+    bench, expires = configuration.bench, now + timedelta(days=days or VALID_DAYS[kind_of(values)])
     with open_database(database_url(bench.database, bench.data_dir), now) as database:
         return add_calibration(
             database, bench.id, values, date=now, expires=expires, by=by, method=method, note=note
@@ -63,7 +64,7 @@ def add_calibration(
     Raises:
         BenchError: it expires before it begins, a newer one exists, or `by` or `method` is empty.
     """
-    kind = _kind_of(values)
+    kind = kind_of(values)
     for name, found in (("by", by), ("method", method)):
         if not found.strip():
             raise BenchError(f"calibrate {kind}: --{name}", "missing", "a text", f"Add --{name} with a text.")
@@ -153,10 +154,6 @@ def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
         return effective_calibration(database, c.bench.id, when, club=c.swing.club, required=required)
 
 
-def _kind_of(values: Values) -> CalibrationKind:
-    return next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
-
-
 def _entry(row: object) -> Entry:
     r: CalibrationRow = row  # type: ignore[assignment]  # a row has the columns of its table
     kind = CalibrationKind(r.kind)
@@ -205,12 +202,8 @@ def add_aerodynamics(
         with database.execution_options(sqlite_begin="IMMEDIATE").begin() as connection:
             version = connection.execute(insert(_TABLE).values(row).returning(c.version)).scalar_one()
     except IntegrityError as error:  # SQLite writes in turn, a server may not
-        raise BenchError(
-            location,
-            "a calibration with this version exists",
-            "a later version",
-            "Run the same command again.",
-        ) from error
+        expected, action = "a later version", "Run the same command again."
+        raise BenchError(location, "a calibration with this version exists", expected, action) from error
     return AerodynamicsEntry(version, date, source, by, values)
 
 
@@ -224,16 +217,12 @@ def list_aerodynamics(database: Engine, bench: str) -> list[AerodynamicsEntry]:
     query = select(c.version, c.date, c.source, c.by, c.content, c.ball).where(c.bench == bench)
     with database.connect() as connection:
         rows = connection.execute(query.order_by(c.ball, c.version)).all()
-    return [
-        AerodynamicsEntry(
-            row.version,
-            row.date,
-            row.source,
-            row.by,
-            aerodynamics_values(row.content, f"aerodynamics of {row.ball}, version {row.version}"),
-        )
-        for row in rows
-    ]
+    found = []
+    for row in rows:
+        location = f"aerodynamics of {row.ball}, version {row.version}"
+        values = checked_values(BallAerodynamics, row.content, location)
+        found.append(AerodynamicsEntry(row.version, row.date, row.source, row.by, values))
+    return found
 
 
 def newest_aerodynamics(database: Engine, bench: str, balls: Iterable[str]) -> dict[str, AerodynamicsEntry]:

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import time
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from enum import StrEnum
 from hashlib import sha256
 from math import degrees, hypot, pi, radians
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+
 from bench.base.errors import BenchError, Refused
-from bench.base.from_toml import Builder, as_tree
+from bench.base.from_toml import checked_values
 from bench.base.lifecycle import Block
 from bench.config import Configuration, contradictions
 from bench.records.telemetry.encoder_preset import CalibratedShifts
-from drivers.base import Triple
+from bench.records.telemetry.ring import RingReader
+from drivers.base import JOINTS, Triple
 from drivers.base.ranges import Range
 from sim.plant import Sign, ZeroCount
 
@@ -67,7 +71,7 @@ class EncoderZeros:
 
 
 def zero_counts(
-    count: tuple[int, int, int], angle: Triple, sign: tuple[int, int, int], counts_per_revolution: int
+    count: Iterable[int], angle: Iterable[float], sign: Iterable[int], counts_per_revolution: int
 ) -> Triple:
     """Return the counts at angle zero of encoders that show `count` with the joints at `angle` (rad)."""
     per_radian = counts_per_revolution / (2 * pi)
@@ -76,6 +80,48 @@ def zero_counts(
         (n + 0.5 - s * q * per_radian) % counts_per_revolution
         for n, q, s in zip(count, angle, sign, strict=True)
     )
+    return a, b, c
+
+
+_MIN_RECORDS = 20
+"""Min number of records: fewer mean that the loop hardly runs."""
+_STILL = 8
+"""Max noise of a locked joint, counts."""
+
+
+def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5) -> tuple[int, int, int]:
+    """Watch the cycles in `ring` for `seconds` and return the median count of each joint.
+
+    Raises:
+        NoRing: no bench runs here.
+        Refused: the control loop does not run, an encoder gives no valid reading, or a joint moves.
+    """
+    reader = RingReader(ring)
+    try:
+        reader.read()
+        time.sleep(seconds)
+        cycles = reader.read(limit=100_000)
+    finally:
+        reader.close()
+    location = "calibrate encoders --from-pose"
+    if len(cycles) < _MIN_RECORDS:
+        found = f"{len(cycles)} cycles in {seconds:g} s"
+        raise Refused(location, found, "a running loop", "Start `golfbench run` again.")
+    middles = []
+    for joint, name in enumerate(JOINTS):
+        if not cycles["encoder_valid"][:, joint].all():
+            found = f"{name}: invalid readings"
+            raise Refused(location, found, "valid readings", f"Check the cable of the {name} encoder.")
+        counts = cycles["encoder_count"][:, joint]
+        # Around the last one, so that a count at the range's end does not split.
+        half = counts_per_revolution // 2
+        around = (counts - counts[-1] + half) % counts_per_revolution - half
+        spread = int(np.ptp(around))
+        if spread > _STILL:
+            found = f"{name}: it moved by {spread} counts in {seconds:g} s"
+            raise Refused(location, found, f"{_STILL} at most", "Lock the robot at its mechanical reference.")
+        middles.append(int(counts[-1] + round(float(np.median(around)))) % counts_per_revolution)
+    a, b, c = middles
     return a, b, c
 
 
@@ -136,37 +182,22 @@ KINDS: Mapping[CalibrationKind, type[Values]] = {
 }
 
 
+def kind_of(values: Values) -> CalibrationKind:
+    """Return the kind of `values`."""
+    return next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
+
+
 def values_of(kind: CalibrationKind, content: Mapping[str, Any], location: str) -> Values:
     """Return the checked values of `content`, whose keys are the fields of the kind's class.
 
-    Raises:
-        ExceptionGroup: one BenchError at `location` per key that is missing, unknown, of the wrong type or
-            out of range.
+    Raises as `checked_values`.
     """
-    faults: list[BenchError] = []
-    file = Path(location)
-    builder = Builder(
-        as_tree({key: _listed(value) for key, value in content.items()}, file, faults),
-        file,
-        "Measure again, or correct the value.",
-        "Give it.",
-        faults=faults,
-    )
-    values = builder.build(KINDS[kind])
-    if faults:
-        for fault in faults:
-            fault.location = fault.location.removesuffix(": ")  # of the values as a whole
-        raise ExceptionGroup(f"{location} is invalid", faults)
-    return values  # type: ignore[no-any-return]
+    return checked_values(KINDS[kind], content, location, "Measure again, or correct the value.")
 
 
 def content_of(values: Values) -> dict[str, Any]:
     """Return `values` as values of JSON; `values_of` reverses this."""
-    return {key: _listed(value) for key, value in asdict(values).items()}
-
-
-def _listed(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(values).items()}
 
 
 def in_words(values: Values) -> str:
@@ -307,55 +338,39 @@ class Calibration:
 
         The words are those of `now`, by default the same time.
         """
+        found = list[CalibrationProblem]()
+        for entry in self.entries:
+            # Of a simulated robot nothing is wired; its check is an exercise.
+            if entry.expired(at) and (self.required or entry.kind is not CalibrationKind.INPUTS):
+                word = "expired" if entry.expired(now or at) else "expires"
+                fact, expected = f"{word} on {entry.expires:%Y-%m-%d %H:%M} UTC", "one that has not expired"
+                action = f"golfbench calibrate {entry.kind}"
+                found.append(
+                    CalibrationProblem(Block.CALIBRATION_EXPIRED, entry.name, fact, expected, action)
+                )
+        for entry in self.later:
+            fact = f"is of {entry.date:%Y-%m-%d %H:%M} UTC, later than this machine's clock"
+            expected, action = "a date before now", "set the clock"
+            found.append(CalibrationProblem(Block.CALIBRATION_AHEAD, entry.name, fact, expected, action))
+        return found + (self._of_machine() if self.required else [])
+
+    def _of_machine(self) -> list[CalibrationProblem]:
+        """Return faulty inputs and missing kinds."""
         found = [
             CalibrationProblem(
-                Block.CALIBRATION_EXPIRED,
-                entry.name,
-                f"{'expired' if entry.expired(now or at) else 'expires'} on "
-                f"{entry.expires:%Y-%m-%d %H:%M} UTC",
-                "a calibration that has not expired",
-                f"golfbench calibrate {entry.kind}",
+                *(Block.CALIBRATION_FAILED, entry.name, f"found {text}"),
+                "a check of the inputs that finds nothing wrong",
+                f"follow it, then golfbench calibrate {entry.kind}",
             )
             for entry in self.entries
-            # Of a simulated robot nothing is wired; its check is an exercise.
-            if entry.expired(at) and (self.required or entry.kind is not CalibrationKind.INPUTS)
+            if isinstance(entry.values, SeenInputs)
+            for text in entry.values.findings
         ]
-        found += [
-            CalibrationProblem(
-                Block.CALIBRATION_AHEAD,
-                entry.name,
-                f"is of {entry.date:%Y-%m-%d %H:%M} UTC, later than this machine's clock",
-                "a date before now",
-                "set the clock",
-            )
-            for entry in self.later
-        ]
-        if self.required:
-            found += [
-                CalibrationProblem(
-                    Block.CALIBRATION_FAILED,
-                    entry.name,
-                    f"found {text}",
-                    "a check of the inputs that finds nothing wrong",
-                    f"follow it, then golfbench calibrate {entry.kind}",
-                )
-                for entry in self.entries
-                if isinstance(entry.values, SeenInputs)
-                for text in entry.values.findings
-            ]
-            names = {
-                kind: f"club {self.club}" if kind is CalibrationKind.CLUB else kind for kind in self.nominal
-            }
-            found += [
-                CalibrationProblem(
-                    Block.CALIBRATION_MISSING,
-                    f"{name} of bench {self.bench}",
-                    "never calibrated",
-                    "a calibration in force, as on every machine",
-                    f"golfbench calibrate {kind}",
-                )
-                for kind, name in names.items()
-            ]
+        for kind in self.nominal:
+            name = f"club {self.club}" if kind is CalibrationKind.CLUB else kind
+            where, code = f"{name} of bench {self.bench}", Block.CALIBRATION_MISSING
+            expected, action = "a calibration in force, as on every machine", f"golfbench calibrate {kind}"
+            found.append(CalibrationProblem(code, where, "never calibrated", expected, action))
         return found
 
     def record(self) -> dict[str, Any]:
@@ -383,17 +398,21 @@ def apply(calibration: Calibration, configuration: Configuration) -> Configurati
     Raises:
         BenchError: a calibration belongs to other encoders, or to a club that is not configured.
     """
-    c = configuration
     for entry in calibration.entries:
-        match entry.values:
-            case EncoderZeros() as zeros:
-                c = _with_zeros(c, zeros, entry.name)
-            case BallPosition() as ball:
-                c = _with_ball(c, ball)
-            case ClubInMount() as club:
-                c = _with_club(c, club, entry.name)
-            case ValveCentres() as valves:
-                c = _with_valves(c, valves)
+        configuration = _corrected(configuration, entry.values, entry.name)
+    return configuration
+
+
+def _corrected(c: Configuration, values: Values, name: str) -> Configuration:
+    match values:
+        case EncoderZeros():
+            return _with_zeros(c, values, name)
+        case BallPosition():
+            return _with_ball(c, values)
+        case ClubInMount():
+            return _with_club(c, values, name)
+        case ValveCentres():
+            return _with_valves(c, values)
     return c
 
 
@@ -422,9 +441,8 @@ def _with_zeros(c: Configuration, zeros: EncoderZeros, name: str) -> Configurati
 
 def _with_club(c: Configuration, measured: ClubInMount, name: str) -> Configuration:
     if measured.club not in c.clubs:
-        raise BenchError(
-            name, "a club that is not configured", f"one of {', '.join(c.clubs)}", "Add it under [clubs]."
-        )
+        found, expected = f'"{measured.club}", which is not configured', f"one of {', '.join(c.clubs)}"
+        raise BenchError(name, found, expected, "Choose one, or add it under [clubs].")
     club = c.clubs[measured.club]
     club = replace(
         club,
@@ -465,14 +483,8 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
         BenchError: they belong to another part, or are too far from the configured values.
         ExceptionGroup: BenchErrors of the configuration, which they would make inconsistent.
     """
-    if isinstance(values, ClubInMount) and values.club not in configuration.clubs:
-        location, expected = "calibrate club", f"one of {', '.join(configuration.clubs)}"
-        raise BenchError(location, f'"{values.club}"', expected, "Choose one, or add it under [clubs] first.")
-    kind = next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
-    begin = datetime(2000, 1, 1, tzinfo=UTC)
-    entry = Entry(0, configuration.bench.id, kind, 1, begin, begin + timedelta(days=1), "", "", "", values)
-    club = configuration.swing.club
-    corrected = apply(Calibration(configuration.bench.id, club, begin, (entry,)), configuration)
+    kind = kind_of(values)
+    corrected = _corrected(configuration, values, f"calibrate {kind}")
     match values:
         case BallPosition(x, y):
             site = configuration.plant.site

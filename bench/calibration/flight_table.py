@@ -26,7 +26,7 @@ import numpy as np
 
 from bench.base.errors import BenchError
 from bench.base.text_encoding import encoding_of
-from bench.calibration.aerodynamics_fit import MeasuredFlight
+from bench.calibration.ball_aerodynamics import MeasuredFlight
 from drivers.base import Launch
 from sim.air import Air
 
@@ -313,12 +313,8 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
             ) from None
     if trajectories:
         left = ", ".join(list(trajectories)[:5])
-        raise BenchError(
-            str(points),
-            f"points of flight {left}",
-            f"a row of it in {path}, column flight",
-            "Correct one of the two files.",
-        )
+        expected = f"a row of it in {path}, column flight"
+        raise BenchError(str(points), f"points of flight {left}", expected, "Correct one of the two files.")
     used = {"", "flight", "spin_rate_type", "use_in_stat"}
     unused = [name for n, name in enumerate(table.names) if n not in columns and table.keys[n] not in used]
     if unused:
@@ -374,19 +370,11 @@ def _columns(table: MeasurementTable) -> dict[int, _Column]:
         if column is None or (key == "time" and not table.units[n]):  # a time of day
             continue
         if key in table.keys[:n]:
-            raise BenchError(
-                table.location(table.header, n),
-                "the name of another column",
-                "each value once",
-                "Delete one of the two columns.",
-            )
+            location, action = table.location(table.header, n), "Delete one of the two columns."
+            raise BenchError(location, "the name of another column", "each value once", action)
         if column.unit and table.units[n] and column.unit != table.units[n]:
-            raise BenchError(
-                table.location(table.header, n),
-                f"{table.units[n]} in the row of units",
-                "one unit",
-                "Correct one of them.",
-            )
+            location, action = table.location(table.header, n), "Correct one of them."
+            raise BenchError(location, f"{table.units[n]} in the row of units", "one unit", action)
         found[n] = column._replace(unit=column.unit or table.units[n])
     given = {column.figure for column in found.values()}
     for name in _NEEDED:
@@ -408,23 +396,17 @@ def _figures(
         known = _UNITS[dimension].get(unit or _ASSUMED.get(dimension, "no unit"))
         if known is None:
             expected = f"one of {', '.join(_UNITS[dimension])} in the name, as {table.keys[n]}_{{}}"
-            raise BenchError(
-                table.location(line, n),
-                f"unit {unit}" if unit else "no unit",
-                expected.format(next(iter(_UNITS[dimension]))),
-                "Write the unit behind the column's name.",
-            )
+            expected = expected.format(next(iter(_UNITS[dimension])))
+            action = "Write the unit behind the column's name."
+            raise BenchError(table.location(line, n), f"unit {unit}" if unit else "no unit", expected, action)
         factor, offset = known
         value = factor * table.number(line, n, cell, sided=sided) + offset
         rounding = 0.5 * factor * 10.0 ** -len(cell.replace(",", ".").partition(".")[2].rstrip("LRlr "))
         first, first_rounding, other = found.setdefault(figure, (value, rounding, n))
         if abs(first - value) > 1.01 * (first_rounding + rounding):
-            raise BenchError(
-                table.location(line, n),
-                f"{cell}, and {row[other]} in {table.names[other]}",
-                f"the same {figure} in both",
-                "Delete one of the columns.",
-            )
+            location, expected = table.location(line, n), f"the same {figure} in both"
+            action = "Delete one of the columns."
+            raise BenchError(location, f"{cell}, and {row[other]} in {table.names[other]}", expected, action)
     return {figure: value for figure, (value, _, _) in found.items()}
 
 
@@ -462,12 +444,8 @@ def _read_points(path: Path) -> dict[str, np.ndarray[Any, Any]]:
     table = read_table(path, lambda key: key in _POINT_COLUMNS)
     for name in _POINT_COLUMNS:
         if (count := table.keys.count(name)) != 1:
-            raise BenchError(
-                f"{path}, line {table.header}",
-                f"{count} columns {name}",
-                ", ".join(_POINT_COLUMNS),
-                "Correct the header line of the file.",
-            )
+            expected, action = ", ".join(_POINT_COLUMNS), "Correct the header line of the file."
+            raise BenchError(f"{path}, line {table.header}", f"{count} columns {name}", expected, action)
     flight, *places = (table.keys.index(name) for name in _POINT_COLUMNS)
     for line, row in table.rows:
         numbers = [table.number(line, location, row[location]) for location in places]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,49 +17,46 @@ import numpy as np
 
 from bench.base.errors import BenchError, Refused
 from bench.calibration.calibration import SeenInputs
-from bench.commissioning.machine.driver_machine import Stalled
+from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
+from bench.commissioning.machine.inputs import OperatorIO
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
-from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.machine.step import (
     SWING_FILE,
     CommissioningStep,
     MachineFault,
     NamedStep,
+    ParameterEstimate,
+    RobotEstimate,
     StepResult,
     SwingingStep,
     SwungRobot,
     Traces,
 )
-from bench.commissioning.steps.friction_identification import Leakage, SlowMoves
-from bench.commissioning.steps.inputs_check import (
-    InputHands,
-    InputsStep,
-    WatchedMachine,
-    check_inputs,
-    raise_findings,
-)
-from bench.commissioning.steps.response_times import ResponseTimes
-from bench.commissioning.steps.wiring import ValveEdges, Wiring
-from bench.commissioning.swings.robot_swings import HealthyLimits, with_following_limits
-from bench.commissioning.swings.speed_ramp import LearnedSwing, RisingSwings
+from bench.commissioning.steps.friction_identification import FRICTION
+from bench.commissioning.steps.inputs_check import INPUT_CHECK, check_inputs, raise_findings
+from bench.commissioning.steps.pneumatic_identification import LEAKAGE
+from bench.commissioning.steps.response_times import RESPONSE
+from bench.commissioning.steps.wiring import VALVES, WIRING
+from bench.commissioning.swings.robot_swings import LIMITS, with_following_limits
+from bench.commissioning.swings.speed_ramp import LEARNING, SWINGS
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot
 from bench.config import Configuration
 from bench.records.telemetry.atomic_file import atomic_file
+from bench.supervisor.ownership import try_lock
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 
-STATE_FILE = "commissioning.json"
+STATE_FILE, _LOCK_FILE = "commissioning.json", "process"
 _VERSION = 1
 _REPEATS = 9
 """Max repetitions of a measuring step that a stall of the computer ended."""
 
-INPUTS_STEP = InputsStep()
-"""The step before all others."""
-STEPS: tuple[CommissioningStep, ...] = (Wiring(), ValveEdges(), Leakage(), SlowMoves(), ResponseTimes())
+STEPS = (WIRING, VALVES, LEAKAGE, FRICTION, RESPONSE)
 """The steps that measure, in their order."""
-SWINGING_STEPS: tuple[SwingingStep, ...] = (RisingSwings(), LearnedSwing(), HealthyLimits())
+SWINGING_STEPS = (SWINGS, LEARNING, LIMITS)
 """The steps after them."""
-ALL_STEPS: tuple[NamedStep, ...] = (INPUTS_STEP, *STEPS, *SWINGING_STEPS)
+ALL_STEPS: tuple[NamedStep, ...] = (INPUT_CHECK, *STEPS, *SWINGING_STEPS)
 
 
 class DoneStep(NamedTuple):
@@ -106,10 +105,6 @@ class Commissioning:
     def values(self) -> list[ParameterEstimate]:
         """All values found, those of later steps last."""
         return [value for step in self.done for value in step.values]
-
-    def next_step(self) -> CommissioningStep | None:
-        """Return the first measuring step that is not done, None after the last."""
-        return next((step for step in STEPS if not self.has_done(step)), None)
 
     def has_done(self, step: NamedStep) -> bool:
         """Return whether `step` is done."""
@@ -203,10 +198,6 @@ class _CountedMachine:
         self._machine, self._title, self._progress = machine, title, progress
         self._motions = 0
 
-    @property
-    def time(self) -> float:
-        return self._machine.time
-
     def set_supply(self, pressure: float) -> None:
         self._machine.set_supply(pressure)
 
@@ -219,16 +210,12 @@ class _CountedMachine:
         self._progress(f"{self._title}: venting after motion {self._motions}")
         return self._machine.vent(duration)
 
-    def make_passive(self) -> None:
-        self._machine.make_passive()
-
 
 def see_inputs(
     state: Commissioning,
     configuration: Configuration,
-    machine: WatchedMachine,
-    hands: InputHands,
-    now: Callable[[], datetime],
+    machine: SimulatedMachine | LiveRobot,
+    hands: OperatorIO,
     *,
     in_force: str | None,
     keep: Callable[[SeenInputs], object],
@@ -244,27 +231,25 @@ def see_inputs(
         MachineFault: an input is wrong; the state says so.
         Refused: no person is there, or the device fails.
     """
-    if in_force is None and state.has_done(INPUTS_STEP):
+    if in_force is None and state.has_done(INPUT_CHECK):
         return
-    notes, begun = [f"{in_force} is in force"], now()
-    if not in_force:
-        on_step(INPUTS_STEP)
-        with _noting_what_is_wrong(state, INPUTS_STEP, now):
-            seen, findings = check_inputs(machine, hands, configuration, progress)
-            keep(seen)
-            raise_findings(findings)
+
+    def check() -> StepResult:
+        if in_force:
+            return StepResult((), (f"{in_force} is in force",))
+        seen, findings = check_inputs(machine, hands, configuration, progress)
+        keep(seen)
+        raise_findings(findings)
         beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge"
-        notes = [f"seen to change: {', '.join(seen.seen)}", beside]
-    done = _done(INPUTS_STEP, "", StepResult((), tuple(notes)), now(), (now() - begun).total_seconds())
-    state.done = [done, *(step for step in state.done if step.name != INPUTS_STEP.name)]
-    state.save()
+        return StepResult((), (f"seen to change: {', '.join(seen.seen)}", beside))
+
+    _do(state, INPUT_CHECK, on_step, check)
 
 
 def commission(
     state: Commissioning,
     nominal: PlantParameters,
-    machine: CommissionedMachine,
-    now: Callable[[], datetime],
+    machine: SimulatedMachine | LiveRobot,
     *,
     observe: Callable[[], tuple[str, ...]] = tuple,
     on_step: Callable[[NamedStep], None] = lambda step: None,
@@ -281,12 +266,20 @@ def commission(
     """
     known = RobotEstimate(nominal, state.values)
     try:
-        while (step := state.next_step()) is not None:
-            on_step(step)
-            counted = _CountedMachine(machine, step.title, progress)
-            with _noting_what_is_wrong(state, step, now):
-                state.done.append(_do(step, state, counted, known, now, observe, progress))
-            state.save()
+        for number, step in enumerate(STEPS, 1):
+            if state.has_done(step):
+                continue
+            file = f"records/{number}-{step.name}.npz"
+
+            def work(step: CommissioningStep = step, file: str = file) -> StepResult:
+                counted = _CountedMachine(machine, step.title, progress)
+                traces, stalls = _measured(step, counted, known, progress)
+                write_traces(state.folder / file, traces)
+                result = step.estimate(traces, known)
+                values = tuple(value._replace(step=step.name) for value in result.values)
+                return StepResult(values, (*result.notes, *stalls, *observe()))
+
+            _do(state, step, on_step, work, file, lambda: machine.time)
             known.add(state.done[-1].values)
     finally:
         machine.make_passive()
@@ -297,7 +290,6 @@ def commission_swings(
     state: Commissioning,
     known: Configuration,
     robot: SwungRobot,
-    now: Callable[[], datetime],
     *,
     on_step: Callable[[NamedStep], None] = lambda step: None,
     progress: Callable[[str], None] = lambda what: None,
@@ -314,14 +306,15 @@ def commission_swings(
     for step in SWINGING_STEPS:
         if state.has_done(step):
             continue
-        on_step(step)
-        begun = now()
         diagnosed = DiagnosedRobot(robot, state.values, records)
-        with _noting_what_is_wrong(state, step, now), _explained_by(diagnosed):
-            result = step.swing(diagnosed, known_with_swing(known, state.folder), state.folder, progress)
-        done = _done(step, "records", result, now(), (now() - begun).total_seconds())
-        state.done.append(done)
-        state.save()
+
+        def work(step: SwingingStep = step, diagnosed: DiagnosedRobot = diagnosed) -> StepResult:
+            try:
+                return step.swing(diagnosed, known_with_swing(known, state.folder), state.folder, progress)
+            except Refused as error:
+                raise diagnosed.explained(error) from error.__cause__
+
+        _do(state, step, on_step, work, "records")
 
 
 def known_with_swing(known: Configuration, folder: Path) -> Configuration:
@@ -333,59 +326,29 @@ def known_with_swing(known: Configuration, folder: Path) -> Configuration:
     return with_following_limits(known, profile).for_profile(profile, file)
 
 
-@contextmanager
-def _noting_what_is_wrong(
-    state: Commissioning, step: NamedStep, now: Callable[[], datetime]
-) -> Iterator[None]:
-    """Store in `state` that `step` found the machine wrong, if it does."""
+def _do(
+    state: Commissioning,
+    step: NamedStep,
+    on_step: Callable[[NamedStep], None],
+    work: Callable[[], StepResult],
+    record: str = "",
+    clock: Callable[[], float] = time.monotonic,
+) -> None:
+    """Do `step` by `work`, timed by `clock` (s), and store in `state` that it is done, or what is wrong."""
+    on_step(step)
+    begun = clock()
     try:
-        yield
+        result = work()
     except MachineFault as error:
-        state.wrong = FaultRecord(
-            step.name, now().isoformat(), error.location, error.found, error.expected, error.action
-        )
+        date = datetime.now(UTC).isoformat()
+        state.wrong = FaultRecord(step.name, date, error.location, error.found, error.expected, error.action)
         state.save()
         raise
-
-
-@contextmanager
-def _explained_by(diagnosed: DiagnosedRobot) -> Iterator[None]:
-    """Add the diagnosis of the last swing to an error."""
-    try:
-        yield
-    except Refused as error:
-        raise diagnosed.explained(error) from error.__cause__
-
-
-def _done(step: NamedStep, record: str, result: StepResult, date: datetime, seconds: float) -> DoneStep:
-    return DoneStep(
-        step.name,
-        step.title,
-        step.bounds_text,
-        date.isoformat(),
-        seconds,
-        record,
-        result.values,
-        result.notes,
-    )
-
-
-def _do(
-    step: CommissioningStep,
-    state: Commissioning,
-    machine: CommissionedMachine,
-    known: RobotEstimate,
-    now: Callable[[], datetime],
-    observe: Callable[[], tuple[str, ...]],
-    progress: Callable[[str], None],
-) -> DoneStep:
-    begun = machine.time
-    traces, stalls = _measured(step, machine, known, progress)
-    file = f"records/{STEPS.index(step) + 1}-{step.name}.npz"
-    write_traces(state.folder / file, traces)
-    result = step.estimate(traces, known)
-    result = result._replace(notes=(*result.notes, *stalls, *observe()))
-    return _done(step, file, result, now(), machine.time - begun)
+    named, date, seconds = (step.name, step.title, step.bounds_text), datetime.now(UTC), clock() - begun
+    done = DoneStep(*named, date.isoformat(), seconds, record, result.values, result.notes)
+    others = [one for one in state.done if one.name != step.name]
+    state.done = [done, *others] if step is INPUT_CHECK else [*others, done]
+    state.save()
 
 
 def _measured(
@@ -422,3 +385,35 @@ def write_traces(path: Path, traces: Traces) -> None:
     }
     with atomic_file(path) as stream:
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+
+
+@contextmanager
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Hold the lock on `folder`, which is made if it is missing.
+
+    Raises:
+        Refused: another process holds it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / _LOCK_FILE).open("a+", encoding="ascii") as file:
+        if not try_lock(file.fileno()):
+            found = f"process {_owner(folder)}, which commissions there"
+            raise Refused(str(folder), found, "no other process", "Wait for it, or name another folder.")
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
+
+
+def commissioning_process(folder: Path) -> int | None:
+    """Return the id of the process that commissions in `folder`; None without one."""
+    try:
+        with (folder / _LOCK_FILE).open("rb") as file:  # the lock needs no right to write
+            return None if try_lock(file.fileno()) else _owner(folder)
+    except OSError:
+        return None
+
+
+def _owner(folder: Path) -> int | None:
+    text = (folder / _LOCK_FILE).read_text(encoding="ascii").strip()
+    return int(text) if text.isdecimal() else None

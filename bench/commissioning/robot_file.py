@@ -11,8 +11,7 @@ import jinja2
 
 from bench.base.to_toml import toml_value
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning
-from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
-from bench.commissioning.machine.step import NamedStep
+from bench.commissioning.machine.step import ParameterEstimate, RobotEstimate
 from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
 from sim.plant import PlantParameters
@@ -127,12 +126,8 @@ def commissioning_report(state: Commissioning, nominal: PlantParameters, made: d
         made=made,
         minutes=sum(step.seconds for step in state.done) / 60,
         configured=lambda key: f"{value_at(known.nominal, key):.6g}",
-        left=_titles([step for step in ALL_STEPS if step.name not in done]),
+        left=[step.title for step in ALL_STEPS if step.name not in done],
         guesses=GUESSES,
         no_calibration=NO_CALIBRATION,
         steps=len(ALL_STEPS),
     )
-
-
-def _titles(steps: list[NamedStep]) -> list[str]:
-    return [step.title for step in steps]

@@ -8,7 +8,7 @@ simulated swings validate the gains.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,12 +67,8 @@ def operating_points(bench: Bench) -> list[OperatingPoint]:
     series.swing(profile)
     swing = series.swing(profile)
     if swing.cause:
-        raise BenchError(
-            f"a swing of {profile.name}",
-            f"stopped: {CAUSE_TEXT[swing.cause]}",
-            "a whole swing on the model",
-            "Take a profile of this configuration.",
-        )
+        found, action = f"stopped: {CAUSE_TEXT[swing.cause]}", "Take a profile of this configuration."
+        raise BenchError(f"a swing of {profile.name}", found, "a whole swing on the model", action)
     points = []
     for name, tick in instants.items():
         cycle = swing.cycles[tick]
@@ -92,18 +88,14 @@ def gains_along(bench: Bench) -> Callable[[LinearPlant], Gains]:
 
 
 def judge(
-    plants: list[LinearPlant],
-    estimator: Estimator,
-    gains: Callable[[LinearPlant], Gains],
-    period: float,
-    joints: Any = range(3),
+    plants: list[LinearPlant], estimator: Estimator, gains: Callable[[LinearPlant], Gains], period: float
 ) -> LoopMargins:
-    """Return the margins of the loops of `joints` at all instants, and how the closed loop is damped."""
+    """Return the margins of all joints' loops at all instants, and how the closed loop is damped."""
     loops = []
     for frozen in plants:
         estimated = estimator_response(estimator, frozen.frequency, period)
         responses = loop_responses(frozen, estimated, gains(frozen), period)
-        for i in joints:
+        for i in range(3):
             margins = margins_of(frozen.frequency, responses[:, i])
             loops.append(JointLoop(frozen.point.name, i, margins))
     ratios = {frozen.point.name: least_damping(frozen, estimator, gains(frozen), period) for frozen in plants}

@@ -85,12 +85,7 @@ def controllers(bench: Bench) -> list[Controller]:
     """Return the controllers in the order in which they are compared, each with one thing more."""
     whole = bench.control
     alone = replace(
-        whole,
-        gains="hand",
-        pid=thesis_gains(bench.model),
-        feed_forward="none",
-        damping=_NONE,
-        dither=_NONE,
+        whole, gains="hand", pid=thesis_gains(bench.model), feed_forward="none", damping=_NONE, dither=_NONE
     )
     inverted = replace(whole, feed_forward="kane+pneumatic")
     return [
@@ -210,8 +205,8 @@ def _row(
     stops = [swing.cause for swing in made if swing.cause]
     return Compared(
         name,
-        _figures(mean),
-        _figures(error),
+        Figures(*map(float, mean)),
+        Figures(*map(float, error)),
         _root_mean_square(np.concatenate(errors)),
         float(_root_mean_square(np.concatenate(away)[:, None])[0]),
         float(np.mean(np.concatenate(saturated))) if len(np.concatenate(saturated)) else float("nan"),
@@ -226,10 +221,6 @@ def _delivered(swing: SeriesSwing, profile: Profile) -> bool:
     stops = np.flatnonzero(swing.cycles["cause"] != 0)
     end = stops[0] if len(stops) else len(swing.cycles)
     return profile.begins[3] <= swing.contact_time / profile.period <= end
-
-
-def _figures(values: Array) -> Figures:
-    return Figures(*map(float, values))
 
 
 def _root_mean_square(values: Array) -> Array:

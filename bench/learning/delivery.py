@@ -14,7 +14,6 @@ from scipy.optimize import brentq
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.simulation.series import Bench
-from bench.swing.correction_terms import Source
 from sim.impact import Delivery, delivery_from_plane, face_axes, face_gap, impact_parameters
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
@@ -84,12 +83,8 @@ def planned_figures(bench: Bench) -> Figures:
     wanted = ("in_plane_error_mm", "head_speed_mps", "shaft_lean_deg", "path_slope_deg")
     missing = [key for key in wanted if key not in delivery]
     if missing:
-        raise BenchError(
-            f"{bench.profile.name}: delivery",
-            f"no {missing[0]}",
-            "the planned delivery",
-            "Take a profile of `golfbench profile design`.",
-        )
+        location, action = f"{bench.profile.name}: delivery", "Take a profile of `golfbench profile design`."
+        raise BenchError(location, f"no {missing[0]}", "the planned delivery", action)
     strike, speed, lean, slope = (delivery[key] for key in wanted)
     return Figures(1e-3 * strike, speed, radians(lean), asin(sin(radians(slope)) * sin(lie)))
 
@@ -103,10 +98,9 @@ come so far before the model's: off the face's centre, with lengths known to 2 m
 hand. A reading after it would take the impact for the club's speed."""
 _LOW = 0.1
 """Height above the ball below which the head is at the bottom of the swing (m)."""
-_READINGS, _READINGS_BESIDE_PLAN = 5, 16
-"""Number of readings before the contact for a polynomial through the angles, and for one through their
-difference to the modelled swing, which changes more slowly."""
-_ORDER, _ORDER_BESIDE_PLAN = 2, 3
+_READINGS = 16
+"""Number of readings before the contact for a polynomial through their difference to the modelled swing."""
+_ORDER = 3
 """Order of the polynomial. The curvature of the difference changes where the right arm breaks away, some 10
 ms before the ball: a parabola had an error of 0.2 to 0.3 % of the speed with the driver, a cubic 0.1 %."""
 _LATE = 60
@@ -116,16 +110,14 @@ _SEARCHED = (-0.0015, 0.0035)
 _DOWN = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 
 
-def delivery_from_encoders(
-    cycles: Cycles, plant: PlantParameters, plan: Array | None = None
-) -> Delivery | None:
+def delivery_from_encoders(cycles: Cycles, plant: PlantParameters, plan: Array) -> Delivery | None:
     """Return how the club came to the ball, from the raw counts before the contact; None without a crossing.
 
-    The angles of the last readings are carried on by a parabola to where face and ball touch: an estimator
-    that has to be ready for the impact's jump says less. With `plan` (k, 3), the modelled swing without a
-    ball tick by tick, a cubic is that of the difference to it, laid where its head is where the robot's is: a
-    robot that comes later is not compared with a model that has run into its cushions. A latency that
-    all encoders share does not matter.
+    The angles of the last readings are carried on to where face and ball touch: an estimator that has to be
+    ready for the impact's jump says less. A cubic is that of their difference to `plan` (k, 3), the modelled
+    swing without a ball tick by tick, laid where its head is where the robot's is: a robot that comes later
+    is not compared with a model that has run into its cushions. A latency that all encoders share does not
+    matter.
     """
     robot, site, encoders = plant.robot, plant.site, plant.encoders
     per_rad = np.array(encoders.sign) * encoders.counts_per_revolution / (2 * np.pi)
@@ -135,20 +127,19 @@ def delivery_from_encoders(
     # The first crossing forwards at the bottom of the swing; the club also comes by above.
     ahead, low = site.ball_x - head[:, 0] > _BEFORE, head[:, 1] < site.ball_y + _LOW
     crossings = np.flatnonzero(ahead[:-1] & ~ahead[1:] & low[1:] & np.isin(cycles["phase"], _DOWN)[1:])
-    readings, order = (_READINGS, _ORDER) if plan is None else (_READINGS_BESIDE_PLAN, _ORDER_BESIDE_PLAN)
-    if not crossings.size or crossings[0] < readings:
+    if not crossings.size or crossings[0] < _READINGS:
         return None
     last = int(crossings[0]) + 1
-    curve = _nothing if plan is None else _beside(plan, plant, last, float(head[last - 1, 0]))
+    curve = _beside(plan, plant, last, float(head[last - 1, 0]))
     if curve is None:
         return None
-    times: Array = plant.tick * np.arange(1 - readings, 1, dtype=np.float64)
-    powers = np.vander(times, order + 1, increasing=True)
-    fitted = np.linalg.lstsq(powers, angle[last - readings : last] - curve(times), rcond=None)[0]
+    times: Array = plant.tick * np.arange(1 - _READINGS, 1, dtype=np.float64)
+    powers = np.vander(times, _ORDER + 1, increasing=True)
+    fitted = np.linalg.lstsq(powers, angle[last - _READINGS : last] - curve(times), rcond=None)[0]
     face = impact_parameters(robot.club, plant.ball, robot.lie)
 
     def pose(at: float) -> Any:
-        return forward_kinematics(robot, np.asarray(curve(at)) + at ** np.arange(order + 1) @ fitted)
+        return forward_kinematics(robot, np.asarray(curve(at)) + at ** np.arange(_ORDER + 1) @ fitted)
 
     def gap(at: float) -> float:
         x, y, theta = map(float, pose(at))
@@ -171,10 +162,6 @@ def delivery_from_encoders(
         return None
 
 
-def _nothing(time: Array | float) -> Array:
-    return np.zeros((*np.shape(time), 3))
-
-
 def _beside(
     plan: Array, plant: PlantParameters, last: int, x: float
 ) -> Callable[[Array | float], Array] | None:
@@ -183,7 +170,7 @@ def _beside(
     That is looked for around row `last`; None where it does not come. Rows of `plan` after that count
     no more, it is carried on instead: soon after the ball's place, a swing without a ball is in its cushions.
     """
-    first = max(last - _LATE - _READINGS_BESIDE_PLAN, 0)
+    first = max(last - _LATE - _READINGS, 0)
     near = plan[first : last + _LATE]
     head = forward_kinematics(plant.robot, near)
     low = head[:, 1] < plant.site.ball_y + _LOW
@@ -192,7 +179,7 @@ def _beside(
         return None
     k = int(crossings[0])
     row = k + (x - head[k, 0]) / (head[k + 1, 0] - head[k, 0])
-    if row < _READINGS_BESIDE_PLAN:
+    if row < _READINGS:
         return None
     used = near[: k + 2]
     spline = CubicSpline(np.arange(len(used)), used)
@@ -212,24 +199,21 @@ def strike_from_mark(toe_mm: float, high_mm: float, plant: PlantParameters) -> f
 
 
 def figures_from(
-    source: Source,
     cycles: Cycles,
     plant: PlantParameters,
-    plan: Array | None = None,
+    plan: Array,
     *,
     mark: tuple[float, float] | None = None,
     club_speed: float | None = None,
     attack_deg: float | None = None,
 ) -> Figures:
-    """Return the figures of the swing in `cycles` by `source`; missing ones come from the encoders.
+    """Return the figures of the swing in `cycles`; those not given come from the encoders.
 
     `mark`: mm towards the toe and up. `club_speed` (m/s) and `attack_deg` are a launch monitor's.
     """
     figures = figures_of(delivery_from_encoders(cycles, plant, plan))
-    if figures is UNKNOWN or source == "encoders+model":
+    if figures is UNKNOWN:
         return figures
-    if source == "impact-marks":
-        return figures if mark is None else figures._replace(strike=strike_from_mark(*mark, plant))
     return figures._replace(
         strike=figures.strike if mark is None else strike_from_mark(*mark, plant),
         speed=figures.speed if club_speed is None else club_speed,

@@ -19,10 +19,15 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from bench.base.errors import BenchError, Refused
+from bench.base.lifecycle import Phase
 from bench.base.to_toml import toml_value
 from bench.config import Configuration
+from bench.control.measured_plant import value_at
+from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.swing_metadata import read_profile
 from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Bench, Series, quiet
+from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 from sim.robot import Club
@@ -70,6 +75,42 @@ _SWINGS = 3
 """Simulated ones that are averaged; one before them is not, as it begins with the air of arming."""
 
 
+def read_recorded(paths: Sequence[Path]) -> tuple[Profile, list[Cycles]]:
+    """Return the profile of the swings in Parquet files, a correction included, and their CYCLE records.
+
+    Raises:
+        BenchError: none is given; one is no record, holds no whole swing, or differs in plan from the first.
+    """
+    if not paths:
+        raise BenchError("identify", "no record", "at least one record", "Give the paths of recorded swings.")
+    read = [(path, *read_swing(path)) for path in paths]
+    first = read_profile(read[0][2], str(paths[0]))
+    swings: list[Cycles] = []
+    for path, cycles, metadata in read:
+        profile = read_profile(metadata, str(path))
+        if digest_of(first) != digest_of(profile):
+            corrected = ", with another correction" if first.name == profile.name else ""
+            expected, action = f"of {first.name}, as in the records before", "Identify one at a time."
+            raise BenchError(str(path), f"a swing of {profile.name}{corrected}", expected, action)
+        swings.append(from_first_tick(cycles, profile, str(path)))
+    return first, swings
+
+
+def from_first_tick(cycles: Cycles, profile: Profile, location: str) -> Cycles:
+    """Return the records of a swing from its first tick on.
+
+    Raises:
+        BenchError: they hold no swing up to the impact window.
+    """
+    begun = np.flatnonzero(cycles["phase"] == Phase.BACKSWING)
+    first = int(begun[0]) - profile.begins[1] if begun.size else -1
+    swing = cycles[max(first, 0) :]
+    if first < 0 or len(swing) < profile.begins[5] or swing["cause"][: profile.begins[5]].any():
+        expected, action = "a swing from the address to the ball", "Give a record of a complete swing."
+        raise BenchError(location, "no complete swing", expected, action)
+    return swing
+
+
 class Identified(NamedTuple):
     """Robot identified from records."""
 
@@ -86,31 +127,23 @@ class Identified(NamedTuple):
         """Which parameters the records determine."""
         return np.asarray(self.error <= SURE)
 
-    def variation(self, bench: Bench) -> Variation:
-        """Return the robot as a variation of the bench's model, also where it is not sure: the best guess."""
-        return variation_of(self.values, bench)
-
 
 def variation_of(values: Array, bench: Bench) -> Variation:
-    """Return the variation with `values` in the order of NAMES."""
+    """Return the robot with `values` in the order of NAMES as a variation of the bench's model."""
     f = values.tolist()
-    mass = bench.model.robot.club.head_mass * (head_factor(f[11], bench) - 1.0)
+    # The head's mass for the club's inertia about the wrist, linearised.
+    club = bench.model.robot.club
+    slope = club_inertia(replace(club, head_mass=1.1 * club.head_mass)) / club_inertia(club) - 1.0
+    factor = 1.0 + 0.1 * (f[11] - 1.0) / slope
     return Variation(
         (f[0], f[1], f[2]),
         (f[3], f[4], f[5]),
         (f[6], f[7], f[8]),
         supply=f[9],
         vane=f[10],
-        head_mass=mass,
+        head_mass=club.head_mass * (factor - 1.0),
         latency=1e-3 * f[12],
     )
-
-
-def head_factor(inertia: float, bench: Bench) -> float:
-    """Return the factor on the head's mass that makes the club's inertia about the wrist `inertia` times."""
-    club = bench.model.robot.club
-    slope = club_inertia(replace(club, head_mass=1.1 * club.head_mass)) / club_inertia(club) - 1.0
-    return 1.0 + 0.1 * (inertia - 1.0) / slope
 
 
 def club_inertia(club: Club) -> float:
@@ -129,11 +162,7 @@ def identify(
     All swings are of the bench's profile and not the first after arming. Parameters not `asked` stay nominal,
     with unknown errors. `progress` gets the share of the max number of trials that is done.
 
-    Raises:
-        BenchError: `observed` is empty.
     """
-    if not observed:
-        raise BenchError("identify", "no swing", "complete swings", "Give records of complete swings.")
     free = np.array([NAMES.index(name) for name in asked])
     seen = np.mean([_seen(bench.profile, cycles) for cycles in observed], axis=0)
     weight = 1.0 / np.sqrt(np.isfinite(seen).sum() / _ALIKE)
@@ -222,48 +251,34 @@ def _errors(bench: Bench, values: Array, seen: Array) -> Array:
     return np.asarray(np.clip((simulated - seen)[known], -50.0, 50.0))
 
 
-_ACTUATORS = ("shoulder", "right_arm", "wrist")
+_WRITTEN = (
+    *(
+        f"{actuator}.{key}"
+        for actuator in ("shoulder", "right_arm", "wrist")
+        for key in ("area_a", "area_b", "dead_volume", "valve.conductance")
+        + ("friction.viscous", "friction.coulomb", "friction.static")
+    ),
+    "supply.pressure",
+    "encoders.latency",
+)
+"""Keys below [plant] that a variation may change."""
 
 
-def plant_file(plant: PlantParameters, found: Identified, configuration: Configuration) -> str:
-    """Return TOML with the identified parameters of `plant`, based on the file of `configuration`.
+def write_plant_file(
+    path: Path, plant: PlantParameters, found: Identified, configuration: Configuration
+) -> None:
+    """Write TOML with the identified parameters of `plant` to `path`, based on the file of `configuration`.
 
-    Each parameter's standard error stands above it; uncertain ones are marked.
+    Comments have each parameter's standard error; uncertain ones are marked. OSError if it cannot be written.
     """
-    base = str(configuration.files[-1].resolve())
     lines = ["# Identified from recorded swings: value, standard error."]
     for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):
         unit = "ms more" if name == NAMES[-1] else "of the nominal"
         doubt = "" if known else "; NOT identified, a guess"
         lines.append(f"# {name}: {value:.4f} {unit}, {error:.4f}{doubt}")
-    lines += [f"base = {toml_value(base)}", ""]
-    for name, actuator in zip(_ACTUATORS, plant.actuators, strict=True):
-        friction = actuator.friction
-        lines += [
-            f"[plant.{name}]",
-            f"area_a = {toml_value(actuator.area_a)}",
-            f"area_b = {toml_value(actuator.area_b)}",
-            f"dead_volume = {toml_value(actuator.dead_volume)}",
-            f"[plant.{name}.friction]",
-            f"viscous = {toml_value(friction.viscous)}",
-            f"coulomb = {toml_value(friction.coulomb)}",
-            f"static = {toml_value(friction.static)}",
-            f"[plant.{name}.valve]",
-            f"conductance = {toml_value(actuator.valve.conductance)}",
-            "",
-        ]
-    lines += [
-        "[plant.supply]",
-        f"pressure = {toml_value(plant.supply.pressure)}",
-        "[plant.encoders]",
-        f"latency = {toml_value(plant.encoders.latency)}",
-        f"[clubs.{plant.robot.club.name}]",
-        f"head_mass = {toml_value(plant.robot.club.head_mass)}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def write_plant_file(path: Path, text: str) -> None:
-    """Write `text` to `path`; OSError if it cannot be written."""
+    lines += [f"base = {toml_value(str(configuration.files[-1].resolve()))}", ""]
+    lines += [f"plant.{key} = {toml_value(value_at(plant, key))}" for key in _WRITTEN]
+    club = plant.robot.club
+    lines.append(f"clubs.{club.name}.head_mass = {toml_value(club.head_mass)}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -3,7 +3,7 @@
 Norm-optimal iterative learning control (Bristow, Tharayil & Alleyne 2006) on a few smooth weights. A step
 minimises
 
-    sum ((figure - target) / tolerance)^2 + path_weight^2 mean ((path - planned path) / path_scale)^2
+    sum ((figure - target) / tolerance)^2 + mean ((path - planned path) / path scale)^2
     + effort^2 |weights|^2
 
 as predicted, within bounds on the weights and a trust radius around the best swing so far. The prediction is
@@ -13,29 +13,23 @@ regression). So the response becomes the robot's own, and one lucky swing is not
 stopped swing counts as failed: its record up to the stop still counts for the path, and the radius is halved.
 Without planned air at the address the first swing after arming begins with other air than those that follow:
 it counts with more noise for the next step, and confirms nothing.
-
-For an identified robot more is known before the first swing: where to begin, the expected delivery there, and
-a better response.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from bench.base.errors import BenchError
-from bench.base.lifecycle import CAUSE_TEXT
+from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.learning.delivery import Figures, Tolerance, figures_of
-from bench.simulation.series import Bench, Series, SeriesSwing, quiet
+from bench.simulation.series import Bench, Series, quiet
 from bench.swing.correction import Basis
 from bench.swing.correction_terms import MAX_WEIGHT
-from drivers.base.ranges import Above, AtLeast
-from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -48,87 +42,61 @@ _AFTER = 0.03
 
 
 class Response(NamedTuple):
-    """The model's swing with one correction, and its derivatives by the basis' weights."""
+    """The derivatives of the model's swing by the basis' weights, without correction."""
 
-    figures: Array
-    """(4,) as in `Figures`."""
-    path: Array
-    """(r, 3) rad, angles at `rows`."""
     rows: NDArray[np.int64]
-    """Samples of the profile."""
+    """Samples of the downswing, up to the impact window, at which paths are compared."""
     by_figures: Array
-    """(4, m)"""
+    """(4, m) as in `Figures`."""
     by_path: Array
     """(3 r, m) rad"""
     free: Array
-    """(k, 3) rad, the plant's angles tick by tick without correction and without a ball, past the contact."""
+    """(k, 3) rad, the plant's angles tick by tick without a ball, past the contact."""
 
 
-def path_rows(bench: Bench) -> NDArray[np.int64]:
-    """Return the samples of the downswing, up to the impact window, at which paths are compared."""
-    profile = bench.profile
-    return np.arange(profile.begins[3], profile.begins[5], round(PATH_SPACING / profile.period))
+def model_response(
+    bench: Bench, basis: Basis, progress: Callable[[float], None] = lambda part: None
+) -> Response:
+    """Return the response of `bench`'s model.
 
+    Raises:
+        BenchError: the modelled swing is stopped or misses the ball.
+        Refused: the model does not reach its address.
+    """
+    profile, series = bench.profile, Series(bench, quiet(bench.model))
+    series.settle()
+    ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
+    rows = np.arange(profile.begins[3], profile.begins[5], round(PATH_SPACING / profile.period))
 
-class Model:
-    """The bench's model, ready to swing with any correction from the same instant."""
+    def seen(point: Array) -> tuple[Array, Array, Cause]:
+        """Swing with the correction `point` (m,); return figures, NaN without a ball, path and cause."""
+        swing = series.swing_again(basis.correction(point).applied_to(profile), ticks)
+        return figures_of(swing.delivery).array, swing.cycles["angle"][rows], swing.cause
 
-    def __init__(self, bench: Bench, basis: Basis, plant: PlantParameters | None = None) -> None:
-        """Arm the model, or another `plant`; Refused if it does not reach its address."""
-        self._bench, self._basis = bench, basis
-        self._series = Series(bench, quiet(plant or bench.model))
-        self._series.settle()
-        profile = bench.profile
-        self._ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
-        self.rows = path_rows(bench)
-
-    def swing(self, point: Array) -> SeriesSwing:
-        """Swing with the correction `point` (m,)."""
-        corrected = self._basis.correction(point).applied_to(self._bench.profile)
-        return self._series.swing_again(corrected, self._ticks)
-
-    def free(self) -> Array:
-        """Swing without correction and without a ball; return the angles (k, 3) tick by tick, rad."""
-        swing = self._series.swing_again(self._bench.profile, self._ticks, ball=False)
-        return np.array(swing.cycles["plant_angle"])
-
-    def response(
-        self, point: Array | None = None, progress: Callable[[float], None] = lambda part: None
-    ) -> Response:
-        """Return the response at `point` (default: no correction).
-
-        Raises:
-            BenchError: the modelled swing is stopped or misses the ball.
-        """
-        m = self._basis.size
-        point = np.zeros(m) if point is None else point
-        swing = self.swing(point)
-        if swing.cause or swing.delivery is None:
-            found = CAUSE_TEXT[swing.cause] if swing.cause else "the club misses the ball"
-            location, wanted = f"{self._bench.profile.name} on the model", "a swing that strikes the ball"
-            raise BenchError(location, found, wanted, "Identify the plant, or design a new swing.")
-        figures, path = self._seen(swing)
-        free = self.free()
-        by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))
-        for i in range(m):
-            sides = []
-            for step in (_STEP, -_STEP):
-                trial = point.copy()
-                trial[i] += step
-                varied = self.swing(trial)
-                if varied.delivery is not None and not varied.cause:
-                    sides.append((step, *self._seen(varied)))
-            if len(sides) < 2:
-                sides.append((0.0, figures, path))
-            if len(sides) == 2:  # else: the weight only fails the swing and stays unused
-                width = sides[0][0] - sides[1][0]
-                by_figures[:, i] = (sides[0][1] - sides[1][1]) / width
-                by_path[:, i] = ((sides[0][2] - sides[1][2]) / width).ravel()
-            progress((i + 1) / m)
-        return Response(figures, path, self.rows, by_figures, by_path, free)
-
-    def _seen(self, swing: SeriesSwing) -> tuple[Array, Array]:
-        return figures_of(swing.delivery).array, swing.cycles["angle"][self.rows]
+    m = basis.size
+    figures, path, cause = seen(np.zeros(m))
+    if cause or np.isnan(figures).any():
+        found = CAUSE_TEXT[cause] if cause else "the club misses the ball"
+        location, wanted = f"{profile.name} on the model", "a swing that strikes the ball"
+        raise BenchError(location, found, wanted, "Identify the plant, or design a new swing.")
+    free = np.array(series.swing_again(profile, ticks, ball=False).cycles["plant_angle"])
+    by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))
+    for i in range(m):
+        sides = []
+        for step in (_STEP, -_STEP):
+            trial = np.zeros(m)
+            trial[i] += step
+            varied = seen(trial)
+            if not varied[2] and np.isfinite(varied[0]).all():
+                sides.append((step, *varied))
+        if len(sides) < 2:
+            sides.append((0.0, figures, path, cause))
+        if len(sides) == 2:  # else: the weight only fails the swing and stays unused
+            width = sides[0][0] - sides[1][0]
+            by_figures[:, i] = (sides[0][1] - sides[1][1]) / width
+            by_path[:, i] = ((sides[0][2] - sides[1][2]) / width).ravel()
+        progress((i + 1) / m)
+    return Response(rows, by_figures, by_path, free)
 
 
 _STOPPED = 1e6
@@ -139,42 +107,31 @@ _OFFSET = 1e4
 Four = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
-class LearningSettings:
-    """Settings of the learner."""
-
-    swings: Annotated[int, AtLeast(1)] = 12
-    """Max number of learning swings."""
-    path_weight: Annotated[float, AtLeast(0)] = 1.0
-    """Weight of a path that is `path_scale` off on average, against one tolerance of one figure."""
-    path_scale: Annotated[float, Above(0)] = 0.01
-    """Error of the path that counts as one (rad)."""
-    effort: Annotated[float, AtLeast(0)] = 0.2
-    """Cost of one weight."""
-    radius: Annotated[float, Above(0)] = 1.5
-    """Longest first step, norm of the weights."""
-    greatest_radius: Annotated[float, Above(0)] = 3.0
-    least_radius: Annotated[float, Above(0)] = 0.1
-    bound: Annotated[float, Above(0)] = MAX_WEIGHT
-    """Max size of each weight."""
-    scatter: Four = (0.3, 0.4, 0.2, 0.2)
-    """Standard deviation between nominally equal swings in strike, speed, lean and attack, as a multiple of
-    the tolerances."""
-    path_scatter: Annotated[float, Above(0)] = 0.003
-    """Standard deviation of the path (rad)."""
-    unsettled: Four = (1.0, 7.0, 0.7, 1.5)
-    """Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
-    path_unsettled: Annotated[float, Above(0)] = 0.02
-    """Standard deviation of the path of the first swing after arming (rad)."""
-    doubt: Annotated[float, AtLeast(0)] = 0.5
-    """Share by which the robot's response differs from the model's."""
-    bend: Annotated[float, AtLeast(0)] = 0.1
-    """Share of the response by which a step of one weight bends it."""
-    enough: Annotated[float, Above(0)] = 0.5
-    """Share of the tolerances within which every predicted figure must lie for the best swing to be repeated,
-    and the mean of it and its repetition for confirmation."""
-    confirm: Annotated[float, Above(0)] = 1.0
-    """Share within which the repetition must lie."""
+SWINGS = 12
+"""Max number of learning swings by default."""
+_PATH_SCALE = 0.01
+"""Mean error of the path that counts as one tolerance of one figure (rad)."""
+_EFFORT = 0.2
+"""Cost of one weight."""
+RADIUS, _MIN_RADIUS, _MAX_RADIUS = 1.5, 0.1, 3.0
+"""Max norm of the first step of the weights, and of any step."""
+_SCATTER: Four = (0.3, 0.4, 0.2, 0.2)
+"""Standard deviation between nominally equal swings in strike, speed, lean and attack, in tolerances."""
+_PATH_SCATTER = 0.003
+"""Standard deviation of the path (rad)."""
+_UNSETTLED: Four = (1.0, 7.0, 0.7, 1.5)
+"""Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
+_PATH_UNSETTLED = 0.02
+"""Standard deviation of the path of the first swing after arming (rad)."""
+_DOUBT = 0.5
+"""Share by which the robot's response differs from the model's."""
+_BEND = 0.1
+"""Share of the response by which a step of one weight bends it."""
+ENOUGH = 0.5
+"""Share of the tolerances within which every predicted figure must lie for the best swing to be repeated,
+and the mean of it and its repetition for confirmation."""
+_CONFIRM = 1.0
+"""Share of the tolerances within which the repetition must lie."""
 
 
 class LearnerTrial(NamedTuple):
@@ -190,66 +147,26 @@ class LearnerTrial(NamedTuple):
     """Whether it began with planned air, or with that a swing had left, not with that of arming."""
 
 
-class Beginning(NamedTuple):
-    """Knowledge of the robot before its first swing."""
-
-    point: Array
-    """Weights (m,) around which the response is known."""
-    response: Response
-    """Expected response there."""
-    offset: Four
-    """Standard deviation of the figures expected, in tolerances."""
-    path_offset: float
-    """Standard deviation of the expected path, rad."""
-    doubt: float
-    """Present value of `LearningSettings.doubt`."""
-    radius: float
-    """Present value of `LearningSettings.radius`."""
-
-
 class Learner:
     """Proposes a `point`, notes the swing made with it, proposes the next one; the best point is kept."""
 
-    def __init__(
-        self,
-        response: Response,
-        target: Figures,
-        plan: Array,
-        tolerance: Tolerance,
-        settings: LearningSettings,
-        beginning: Beginning | None = None,
-    ):
-        """`response` is the model's without correction, `plan` (r, 3) the planned path at its rows, rad.
-
-        `beginning` overrides the response.
-        """
-        s, self._settings = settings, settings
-        self._target, self._scale = target.array, tolerance.scale(target)
+    def __init__(self, response: Response, target: Figures, plan: Array) -> None:
+        """`response` is the model's, `plan` (r, 3) the planned path at its rows, rad."""
+        self._target, self._scale = target.array, Tolerance().scale(target)
         self._plan = plan
-        self._path_factor = s.path_weight / s.path_scale / np.sqrt(plan.size)
-        expected = response if beginning is None else beginning.response
+        self._path_factor = 1.0 / _PATH_SCALE / np.sqrt(plan.size)
         self._prior = np.vstack(
-            [expected.by_figures / self._scale[:, None], self._path_factor * expected.by_path]
+            [response.by_figures / self._scale[:, None], self._path_factor * response.by_path]
         )
-        self._noise = self._rows(s.scatter, s.path_scatter)
-        self._unsettled = self._rows(s.unsettled, s.path_unsettled)
+        self._noise = self._rows(_SCATTER, _PATH_SCATTER)
+        self._unsettled = self._rows(_UNSETTLED, _PATH_UNSETTLED)
         self._size = np.linalg.norm(self._prior, axis=1) + 1e-9
-        self._origin = np.zeros(self._prior.shape[1]) if beginning is None else beginning.point
-        self._known = beginning is not None
-        self._doubt, self._offset = s.doubt, np.full(len(self._prior), _OFFSET)
-        self._expected = np.zeros(len(self._prior))
-        self._radius = s.radius
+        self._radius = RADIUS
         self.trials: list[LearnerTrial] = []
         self._errors: list[Array] = []
         self._best = 0
-        self.point = self._origin
+        self.point = np.zeros(self._prior.shape[1])
         """Weights of the next swing."""
-        if beginning is not None:
-            self._doubt, self._radius = beginning.doubt, beginning.radius
-            self._offset = self._rows(beginning.offset, beginning.path_offset)
-            self._expected = self._error(expected.figures, expected.path)
-            at, matrix = self._prediction()
-            self.point = self._origin if self._near(at[:4]) else self._next(at, matrix)
 
     def _rows(self, figures: Four, path: float) -> Array:
         """Return the vector with `figures` for each delivery value and `path` for each sample of the path."""
@@ -268,12 +185,6 @@ class Learner:
         """Return (figures - target) in tolerances."""
         return np.asarray((figures - self._target) / self._scale)
 
-    def _reached(self, number: int, share: float) -> bool:
-        """Return whether a swing is within `share` of every tolerance; unknown figures do not count."""
-        figures = self.trials[number].figures
-        known = self.error(figures)[~np.isnan(figures)]
-        return bool(known.size and np.max(np.abs(known)) <= share)
-
     def _alike(self, number: int) -> list[int]:
         """Return the swings with the correction of swing `number` and the same start."""
         one = self.trials[number]
@@ -288,7 +199,11 @@ class Learner:
         """Whether a swing and its repetition were well within the tolerances."""
         last = len(self.trials) - 1
         alike = self._alike(last)
-        if len(alike) < 2 or not self.trials[last].settled or not self._reached(last, self._settings.confirm):
+        if (
+            len(alike) < 2
+            or not self.trials[last].settled
+            or not self._near(self._errors[last][:4], _CONFIRM)
+        ):
             return False
         return self._near(self._mean(last))
 
@@ -321,28 +236,28 @@ class Learner:
             if len(errors) > 1:
                 squares += np.sum((errors - errors.mean(axis=0)) ** 2, axis=0)
                 count += len(errors) - 1
-        return np.sqrt(squares / count) if count else np.array(self._settings.scatter)
+        return np.sqrt(squares / count) if count else np.array(_SCATTER)
 
     def note(self, trial: LearnerTrial) -> None:
         """Note the swing made with `trial.point` and set the next `point`."""
         self.trials.append(trial)
         self._errors.append(self._error(trial.figures, trial.path))
-        last, s = len(self.trials) - 1, self._settings
+        last = len(self.trials) - 1
         if last and self._cost(last) >= self._cost(self._best):
             # An unsettled one does not judge the step.
             if trial.settled or np.isnan(trial.figures).all():
-                self._radius = max(0.5 * self._radius, s.least_radius)
+                self._radius = max(0.5 * self._radius, _MIN_RADIUS)
         else:
             self._best = last
-            self._radius = min(1.5 * self._radius, s.greatest_radius) if last else self._radius
+            self._radius = min(1.5 * self._radius, _MAX_RADIUS) if last else self._radius
         at, matrix = self._prediction()
         near = self._near(at[:4]) and (len(self._alike(self._best)) < 2 or self._near(self._mean(self._best)))
         self.point = self.best.point if near else self._next(at, matrix)
 
-    def _near(self, figures: Array) -> bool:
-        """Return whether errors (4,) are well within the tolerances; unknown ones do not count."""
-        known = figures[np.isfinite(figures)]
-        return bool(known.size and np.abs(known).max() <= self._settings.enough)
+    def _near(self, errors: Array, share: float = ENOUGH) -> bool:
+        """Return whether `errors` (4,) are within `share` of the tolerances; unknown ones do not count."""
+        known = errors[np.isfinite(errors)]
+        return bool(known.size and np.abs(known).max() <= share)
 
     def _mean(self, number: int) -> Array:
         """Return the mean error (4,) of the swings comparable to swing `number`."""
@@ -358,23 +273,13 @@ class Learner:
         known = np.isfinite(errors)
         missing = 0.0 if known[:4].any() else _STOPPED * float(2.0 - known.mean())
         begun = float(np.sum(self._begun(number) ** 2))
-        return float(
-            np.sum(errors[known] ** 2) + self._settings.effort**2 * np.sum(point**2) + missing + begun
-        )
-
-    def _start(self) -> Array:
-        """Return the weights from which the next step starts."""
-        return self.best.point if self.trials else self._origin
+        return float(np.sum(errors[known] ** 2) + _EFFORT**2 * np.sum(point**2) + missing + begun)
 
     def _prediction(self) -> tuple[Array, Array]:
         """Return errors at the best point and their derivatives, NaN where still unknown."""
-        s, origin, start = self._settings, self._origin, self._start() - self._origin
-        at, matrix = self._expected + self._prior @ start, self._prior.copy()
-        if not self._known:
-            at[:] = np.nan
-        if not self.trials:
-            return at, matrix
-        points = np.array([trial.point for trial in self.trials]) - origin
+        start, matrix = self.best.point, self._prior.copy()
+        at = np.full(len(matrix), np.nan)
+        points = np.array([trial.point for trial in self.trials])
         unsettled = np.array([not trial.settled for trial in self.trials])
         errors = np.array(self._errors)
         products, distance = points @ points.T, np.sum((points - start) ** 2, axis=1)
@@ -382,27 +287,25 @@ class Learner:
             known = np.isfinite(errors[:, k])
             if not known.any():
                 continue
-            seen, spread = points[known], (self._doubt * size) ** 2 / len(start)
-            noise = self._noise[k] ** 2 + (s.bend * size * distance[known]) ** 2
+            seen, spread = points[known], (_DOUBT * size) ** 2 / len(start)
+            noise = self._noise[k] ** 2 + (_BEND * size * distance[known]) ** 2
             noise += unsettled[known] * self._unsettled[k] ** 2
-            offset = self._offset[k] ** 2
-            covariance = offset + spread * products[np.ix_(known, known)] + np.diag(noise)
-            surprise = errors[known, k] - self._expected[k] - seen @ self._prior[k]
-            weights = np.linalg.solve(covariance, surprise)
+            covariance = _OFFSET**2 + spread * products[np.ix_(known, known)] + np.diag(noise)
+            weights = np.linalg.solve(covariance, errors[known, k] - seen @ self._prior[k])
             matrix[k] += spread * seen.T @ weights
-            at[k] = self._expected[k] + offset * weights.sum() + matrix[k] @ start
+            at[k] = _OFFSET**2 * weights.sum() + matrix[k] @ start
         return at, matrix
 
     def _next(self, errors: Array, matrix: Array) -> Array:
-        s, start = self._settings, self._start()
+        start = self.best.point
         known = np.isfinite(errors)
         errors, matrix = errors[known], matrix[known]
         unit, damping = np.eye(len(start)), 0.01
         while True:
             # The damping keeps a step within the radius; unlike the effort it does not pull it towards zero.
-            left = np.vstack([matrix, s.effort * unit, damping * unit])
-            right = -np.concatenate([errors, s.effort * start, np.zeros(len(start))])
-            step = np.asarray(lsq_linear(left, right, (-s.bound - start, s.bound - start + 1e-9)).x)
+            left = np.vstack([matrix, _EFFORT * unit, damping * unit])
+            right = -np.concatenate([errors, _EFFORT * start, np.zeros(len(start))])
+            step = np.asarray(lsq_linear(left, right, (-MAX_WEIGHT - start, MAX_WEIGHT - start + 1e-9)).x)
             if np.linalg.norm(step) <= self._radius:
                 return start + step
             damping *= 1.6

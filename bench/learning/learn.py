@@ -1,32 +1,18 @@
-"""Learn a swing: swing, evaluate, correct, swing again; also from swings of an identified robot.
-
-An identified robot swings nearly as the recorded one did. The remaining difference in delivery, by the same
-measuring chain, is known from the recorded swings. It changes little from one correction to the next. So the
-identified robot learns a target that is lower by it. The first swing of the robot itself has neither the
-model's error nor the identification's.
-"""
+"""Learn a swing: swing, evaluate, correct, swing again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.errors import BenchError
-from bench.base.lifecycle import Cause, Phase
-from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, planned_figures
-from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Model, Response
-from bench.records.shot.recorded_shot import plant_of
-from bench.records.telemetry.recorder import read_swing
-from bench.records.telemetry.swing_metadata import read_profile
-from bench.simulation.series import Bench, Series, quiet
-from bench.swing.correction import Basis, Correction, basis_of, digest_of
-from bench.swing.profile import Profile
-from sim.plant import Encoders, PlantParameters
+from bench.base.lifecycle import Cause
+from bench.learning.delivery import Figures, delivery_from_encoders, figures_of, planned_figures
+from bench.learning.ilc import SWINGS, Learner, LearnerTrial, Response, model_response
+from bench.simulation.series import Bench, Series
+from bench.swing.correction import Basis, Correction, basis_of
 
 Array = NDArray[np.float64]
 
@@ -67,7 +53,6 @@ class LearningResult(NamedTuple):
     """Result of learning."""
 
     target: Figures
-    tolerance: Tolerance
     attempts: tuple[Attempt, ...]
     """The first is the swing before learning."""
     chosen: int
@@ -99,8 +84,6 @@ class LearningProblem(NamedTuple):
     target: Figures
     path: Array
     """(r, 3) rad, the planned angles at the response's rows."""
-    beginning: Beginning | None = None
-    """First correction on an identified robot; None: without correction."""
 
 
 def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
@@ -114,7 +97,7 @@ def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None)
         Refused: the model does not reach its address.
     """
     target, basis = planned_figures(bench), basis_of(bench.profile)
-    response = Model(bench, basis).response(progress=progress)
+    response = model_response(bench, basis, progress)
     return LearningProblem(bench, basis, response, target, bench.profile.angle[response.rows])
 
 
@@ -133,26 +116,24 @@ def on_series(problem: LearningProblem, series: Series) -> Swinger:
 def learn(
     problem: LearningProblem,
     swing: Swinger,
-    settings: LearningSettings | None = None,
-    tolerance: Tolerance | None = None,
+    swings: int = SWINGS,
     on_attempt: Callable[[Attempt], None] = lambda attempt: None,
     start: Array | None = None,
 ) -> LearningResult:
-    """Swing until the target is reached and confirmed, or the swings are used up.
+    """Swing until the target is reached and confirmed, at most `swings` times after the first.
 
     It is reached when the mean of at least two swings with the same correction lies well within every
-    tolerance, and so does the last of them. The first swing has the weights `start` (m,), by default those
-    where the problem begins. `on_attempt` is called after each swing.
+    tolerance, and so does the last of them. The first swing has the weights `start` (m,), by default none.
+    `on_attempt` is called after each swing.
 
     Raises:
         Refused: the robot does not come back to its address.
     """
-    settings, tolerance = settings or LearningSettings(), tolerance or Tolerance()
-    learner = Learner(problem.response, problem.target, problem.path, tolerance, settings, problem.beginning)
+    learner = Learner(problem.response, problem.target, problem.path)
     if start is not None:
         learner.point = start
     attempts: list[Attempt] = []
-    for _ in range(settings.swings + 1):
+    for _ in range(swings + 1):
         trial, attempt = _attempt(problem, swing, learner)
         attempts.append(attempt)
         on_attempt(attempt)
@@ -162,13 +143,7 @@ def learn(
     chosen = learner.chosen
     weights = learner.trials[chosen].point
     return LearningResult(
-        problem.target,
-        tolerance,
-        tuple(attempts),
-        chosen,
-        weights,
-        problem.basis.correction(weights),
-        learner.scatter,
+        problem.target, tuple(attempts), chosen, weights, problem.basis.correction(weights), learner.scatter
     )
 
 
@@ -189,151 +164,3 @@ def _attempt(problem: LearningProblem, swing: Swinger, learner: Learner) -> tupl
         float(np.linalg.norm(point)),
     )
     return trial, attempt
-
-
-Cycles = np.ndarray[Any, Any]
-
-
-class Recorded(NamedTuple):
-    """A swing that the robot made, not its first after arming."""
-
-    profile: Profile
-    """Profile of the swing, a correction included."""
-    cycles: Cycles
-    """CYCLE records from its first tick."""
-    encoders: Encoders
-    """Encoders with the calibration of that time."""
-
-
-def read_recorded(paths: Sequence[Path]) -> list[Recorded]:
-    """Return the swings in Parquet files.
-
-    Raises:
-        BenchError: one is no record, holds no whole swing, or was planned otherwise than the first.
-    """
-    swings: list[Recorded] = []
-    for path in paths:
-        cycles, metadata = read_swing(path)
-        profile = read_profile(metadata, str(path))
-        require_alike(swings[0].profile if swings else profile, profile, str(path))
-        encoders = plant_of(metadata, str(path))[0].encoders
-        swings.append(Recorded(profile, from_first_tick(cycles, profile, str(path)), encoders))
-    return swings
-
-
-def from_first_tick(cycles: Cycles, profile: Profile, location: str) -> Cycles:
-    """Return the records of a swing from its first tick on.
-
-    Raises:
-        BenchError: they hold no swing up to the impact window.
-    """
-    begun = np.flatnonzero(cycles["phase"] == Phase.BACKSWING)
-    first = int(begun[0]) - profile.begins[1] if begun.size else -1
-    swing = cycles[max(first, 0) :]
-    if first < 0 or len(swing) < profile.begins[5] or swing["cause"][: profile.begins[5]].any():
-        raise BenchError(
-            location,
-            "no complete swing",
-            "a swing from the address to the ball",
-            "Give a record of a complete swing.",
-        )
-    return swing
-
-
-def require_alike(one: Profile, other: Profile, location: str) -> None:
-    """Refuse swings with different plans or corrections; `location` names the compared record.
-
-    Raises:
-        BenchError: they were not.
-    """
-    if digest_of(one) != digest_of(other):
-        found = f"a swing of {other.name}" + (", with another correction" if one.name == other.name else "")
-        raise BenchError(
-            location, found, f"of {one.name}, as in the records before", "Identify one at a time."
-        )
-
-
-OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
-"""Difference of the first delivery from the expected one, tolerances and rad, share by which the response
-differed from the identified one, and radius, found with random and worn robots (benchmark `identified`)."""
-_MAX_RESIDUAL = 10.0
-"""Max error after identification, tolerances; it was at most one where identification found the robot."""
-_ANYTHING = (1e4,) * 4
-"""Replaces the first of them without recorded swings."""
-_SWINGS = 3
-"""Simulated swings that are averaged; one before them begins with the air of arming."""
-
-
-def begun_on(
-    problem: LearningProblem, plant: PlantParameters, recorded: Sequence[Recorded] = ()
-) -> LearningProblem:
-    """Return `problem` in its initial state for a robot identified as `plant` from `recorded` swings.
-
-    Without `recorded` the remaining model error is unknown: identification then only improves the first
-    swing.
-
-    Raises:
-        BenchError: the learned or a recorded swing was stopped or missed the ball, or `plant` is not the
-            recorded robot.
-        Refused: it does not reach its address.
-    """
-    bench = problem.bench
-    beyond = left_over(bench, plant, recorded) if recorded else np.zeros(4)
-    require_identified(beyond / Tolerance().scale(problem.target))
-    swing = on_series(problem, Series(bench, quiet(plant)))
-    aim = problem._replace(target=Figures(*map(float, problem.target.array - beyond)))
-    weights = learn(aim, swing).weights
-    response = Model(bench, problem.basis, plant).response(weights)
-    swings = [swing(weights) for _ in range(_SWINGS)]
-    figures = np.mean([swung.figures.array for swung in swings], axis=0) + beyond
-    path = np.mean([swung.cycles["angle"][response.rows] for swung in swings], axis=0)
-    about = response._replace(figures=figures, path=path)
-    if recorded:
-        known = Beginning(weights, about, OFFSET, PATH_OFFSET, DOUBT, RADIUS)
-    else:
-        s = LearningSettings()
-        known = Beginning(weights, about, _ANYTHING, max(_ANYTHING), s.doubt, s.radius)
-    return problem._replace(beginning=known)
-
-
-def require_identified(beyond: Array) -> None:
-    """Refuse a robot whose delivery is (4,) too many tolerances off the records.
-
-    Raises:
-        BenchError: it does.
-    """
-    if np.abs(beyond).max() > _MAX_RESIDUAL:
-        raise BenchError(
-            "--identified",
-            f"a robot that delivers {np.abs(beyond).max():.0f} tolerances off the records",
-            f"at most {_MAX_RESIDUAL:g}",
-            "Identify it again, from swings of this robot.",
-        )
-
-
-def left_over(bench: Bench, plant: PlantParameters, recorded: Sequence[Recorded]) -> Array:
-    """Return the delivery (4,) of the swings `recorded` less that of `plant` with their profile.
-
-    Raises:
-        BenchError: one was stopped or missed the ball, on the robot or on `plant`.
-    """
-    bench = bench._replace(profile=recorded[0].profile)
-    free = Model(bench, basis_of(bench.profile)).free()
-
-    def figures(cycles: Cycles, encoders: Encoders) -> Array:
-        # Measured as in learning, by the same model on both sides of the difference.
-        seen = delivery_from_encoders(cycles, replace(bench.model, encoders=encoders), free)
-        if seen is None:
-            raise BenchError(
-                "a recorded swing",
-                "no contact with the ball",
-                "a swing that strikes the ball",
-                "Leave this record out of --records.",
-            )
-        return figures_of(seen).array
-
-    series = Series(bench, quiet(plant))
-    series.swing(bench.profile)
-    simulated = [series.swing(bench.profile).cycles for _ in range(_SWINGS)]
-    before = np.mean([figures(cycles, bench.model.encoders) for cycles in simulated], axis=0)
-    return np.asarray(np.mean([figures(one.cycles, one.encoders) for one in recorded], axis=0) - before)

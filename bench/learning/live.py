@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +32,6 @@ Array = NDArray[np.float64]
 
 _AGAIN = 3
 """Max attempts at a swing whose record has gaps before the ball."""
-
-
-class MonitorFigures(NamedTuple):
-    """Club data of a launch monitor; None if not measured."""
-
-    club_speed: float | None = None
-    """Club speed (m/s)."""
-    attack_deg: float | None = None
 
 
 class LiveSwinger:
@@ -119,21 +111,18 @@ class LiveSwinger:
         # The record's calibration, with the model's masses and friction.
         encoders = plant_of(metadata, str(record.path))[0].encoders
         plant = replace(self._problem.bench.model, encoders=encoders)
-        monitor, mark = MonitorFigures(), None
-        if self._source == "launch-monitor":
-            monitor = self._monitored(record)
-        elif self._source == "impact-marks":
-            mark = self._ask_mark()
-        figures = figures_from(
-            self._source, cycles, plant, self._problem.response.free, mark=mark, **monitor._asdict()
-        )
+        mark = self._ask_mark() if self._source == "impact-marks" else None
+        speed, attack = self._monitored(record) if self._source == "launch-monitor" else (None, None)
+        free = self._problem.response.free
+        figures = figures_from(cycles, plant, free, mark=mark, club_speed=speed, attack_deg=attack)
         return ObservedSwing(cycles, figures, cause), True
 
-    def _monitored(self, record: SwingRecord) -> MonitorFigures:
+    def _monitored(self, record: SwingRecord) -> tuple[float | None, float | None]:
+        """Return club speed (m/s) and attack angle (deg) of the launch monitor; None if not measured."""
         shot = self._operator.message_about(record)
         if shot is None or shot["launch"] is None:
             self._say("no launch monitor data for this swing: encoder data are used")
-            return MonitorFigures()
+            return None, None
         club = launch_from_json(shot["launch"]).club
         attack = None if club.attack_angle is None else float(np.degrees(club.attack_angle))
         silent = [
@@ -141,7 +130,7 @@ class LiveSwinger:
         ]
         if silent:
             self._say(f"no club {' and no '.join(silent)} from the launch monitor: encoder data are used")
-        return MonitorFigures(club.speed, attack)
+        return club.speed, attack
 
 
 def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None:
@@ -151,20 +140,13 @@ def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None
         Refused: the text says which.
     """
     if status["profile"] != profile.name:
-        raise Refused(
-            f"bench {status['bench']}",
-            f"it swings {status['profile']}",
-            profile.name,
-            f"Start it with golfbench run --profile {profile.name}, or learn the swing that it runs.",
-        )
+        action = f"Start it with golfbench run --profile {profile.name}, or learn the swing that it runs."
+        raise Refused(f"bench {status['bench']}", f"it swings {status['profile']}", profile.name, action)
     link = status["launch_monitor"]
     if source == "launch-monitor" and (link is None or not link["present"]):
-        raise Refused(
-            f"bench {status['bench']}: launch monitor",
-            "disabled" if link is None else launch_monitor_text(link),
-            "a launch monitor with club data",
-            "Enable and connect it ([launch_monitor] enabled = true), or choose another --source.",
-        )
+        location, expected = f"bench {status['bench']}: launch monitor", "a launch monitor with club data"
+        action = "Enable and connect it ([launch_monitor] enabled = true), or choose another --source."
+        raise Refused(location, "disabled" if link is None else launch_monitor_text(link), expected, action)
 
 
 def swung_cycles(cycles: np.ndarray[Any, Any], length: int) -> tuple[np.ndarray[Any, Any], NDArray[np.bool_]]:

@@ -39,10 +39,7 @@ class Conditions:
 
     @staticmethod
     def of(
-        profile: Profile,
-        plant: PlantParameters,
-        temperature: float,
-        simulated: PlantParameters | None = None,
+        profile: Profile, plant: PlantParameters, temperature: float, simulated: PlantParameters | None = None
     ) -> Conditions:
         """Return the conditions of a swing of `profile` on `plant`; `simulated`: the robot in simulation."""
         digest = digest_of(profile)
@@ -160,24 +157,12 @@ def _entry(row: Any) -> Learned:
     content = dict(row.content)
     weights = content.pop("weights", None)
     if not isinstance(weights, list) or not all(isinstance(value, float | int) for value in weights):
-        raise BenchError(
-            f"learned swing {row.profile}, version {row.version}",
-            "no weights",
-            "a list of numbers",
-            "Learn it again: golfbench learn.",
-        )
+        location = f"learned swing {row.profile}, version {row.version}"
+        raise BenchError(location, "no weights", "a list of numbers", "Learn it again: golfbench learn.")
     conditions = Conditions(row.digest, row.club, row.supply_pressure, row.temperature)
     return Learned(
-        row.bench,
-        row.profile,
-        row.date,
-        row.simulated,
-        row.source,
-        conditions,
-        row.within,
-        tuple(map(float, weights)),
-        content,
-        row.version,
+        *(row.bench, row.profile, row.date, row.simulated, row.source, conditions, row.within),
+        *(tuple(map(float, weights)), content, row.version),
     )
 
 

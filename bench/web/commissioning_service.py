@@ -20,8 +20,13 @@ from threading import Event, Thread
 from typing import Any
 
 from bench.base.errors import BenchError, Refused
-from bench.commissioning.commissioning import ALL_STEPS, STATE_FILE, Commissioning, read_state
-from bench.commissioning.folder_lock import commissioning_process
+from bench.commissioning.commissioning import (
+    ALL_STEPS,
+    STATE_FILE,
+    Commissioning,
+    commissioning_process,
+    read_state,
+)
 from bench.web.answers import Asked
 from bench.web.command_line import BackgroundCommand, CommandLine
 from bench.web.downloads import REPORT, Download, plain_file

@@ -48,9 +48,6 @@ class EntryForm(NamedTuple):
     """Whether it is of one club."""
     lasting: bool = True
     """Whether the entry has a method, a remark and a date of expiry."""
-    instead: str = ""
-    """Option that takes the place of all values; empty: none."""
-    instead_label: str = ""
 
 
 FORMS: Mapping[str, EntryForm] = {
@@ -128,8 +125,6 @@ FORMS: Mapping[str, EntryForm] = {
             FormField("dead-band", "Dead band to either side", "", triple=True),
             FormField("uncertainty", "Standard uncertainty", ""),
         ),
-        instead="measure",
-        instead_label="Find them by a slow ramp of the simulated plant",
     ),
 }
 """Forms by name; aerodynamics of balls come from files, at the command line."""
@@ -146,7 +141,6 @@ def described_forms(clubs: list[str]) -> list[dict[str, Any]]:
             "joints": _NAMES,
             "clubs": clubs if form.club else [],
             "lasting": form.lasting,
-            "instead": form.instead_label,
         }
         for name, form in FORMS.items()
     ]
@@ -160,11 +154,8 @@ def form_arguments(form: EntryForm, body: Mapping[str, Any], by: str) -> list[st
     """
     given = dict(body)
     found = [*form.command, f"--by={by}"]
-    if form.instead and given.get("instead") is True:
-        found.append(f"--{form.instead}")
-    else:
-        for field in form.fields:
-            found += _option(field, given.get(field.name))
+    for field in form.fields:
+        found += _option(field, given.get(field.name))
     if form.lasting:
         if method := text_in(given, "method", MAX_NOTE_LENGTH, 0):
             found.append(f"--method={method}")

@@ -13,9 +13,9 @@ import pytest
 
 from bench.base.errors import ExitCode, Refused
 from bench.base.lifecycle import Cause, Phase, State
-from bench.commissioning.machine.inputs import of_simulation
-from bench.commissioning.machine.live_robot import OperatorIO, live_robot
+from bench.commissioning.machine.inputs import OperatorIO, of_simulation
 from bench.commissioning.machine.machine import MotionBounds, Segment
+from bench.commissioning.machine.machine_process import live_robot
 from bench.commissioning.swings.robot_swings import slowed
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import load_configuration

@@ -14,7 +14,6 @@ import argparse
 import subprocess
 import sys
 from dataclasses import replace
-from datetime import UTC, datetime
 from math import degrees, nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,8 +25,7 @@ from rich.table import Table
 from bench.base.errors import Refused
 from bench.commissioning.commissioning import begin, commission
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.robot_estimate import RobotEstimate
-from bench.commissioning.machine.step import LEARNED_FILE, SWING_FILE, SimulatedRobot
+from bench.commissioning.machine.step import LEARNED_FILE, SWING_FILE, RobotEstimate, SimulatedRobot
 from bench.commissioning.swings.robot_swings import fastest_swing
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.commissioning.swings.swing_diagnosis import diagnose
@@ -165,7 +163,7 @@ def _commissioned(
             return RobotEstimate(configuration.plant), str(error), [], 0.0
         with machine:
             try:
-                commission(state, configuration.plant, machine, lambda: datetime.now(UTC))
+                commission(state, configuration.plant, machine)
             except Refused as error:
                 said = str(error)
             unsafe = unsafe_reasons(RunEnd(machine.loads), SafetyLimits())

@@ -25,7 +25,6 @@ from bench.campaign.run.plan_requirements import Profiles
 from bench.config import Configuration
 from bench.design.requirements import require_planned_openings
 from bench.learning.delivery import Tolerance
-from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, Swinger, learn, prepare
 from bench.learning.store import Conditions, Learned, drifted, keep, learned_swings, newest_that_holds, stored
 from bench.records.shot.shot import Shot, ShotStatus
@@ -209,7 +208,7 @@ class CampaignCorrections:
                 result = learn(
                     problem,
                     swinger,
-                    LearningSettings(swings=self._plan.learning.swings),
+                    self._plan.learning.swings,
                     start=np.array(weights) if weights else None,
                 )
             found = stored(

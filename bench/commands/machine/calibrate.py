@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
-from bench.commands.common.options import Json, argument, flag, option
+from bench.commands.common.options import Json, argument, option
 from bench.commands.common.output import plain_table
 from bench.commands.common.session import Session, exit_unless, show_json
 from bench.commands.machine.calibrate_measured import aerodynamics, inputs, user_name
@@ -168,35 +168,20 @@ def club(
 @app.command()
 def valves(
     context: typer.Context,
-    centre: Annotated[
-        Three | None, option("Commands (-1 to 1) that centre the spools.", "SHOULDER ARM WRIST")
-    ] = None,
-    dead_band: Annotated[
-        Three | None, option("Overlap to either side of the centre.", "SHOULDER ARM WRIST")
-    ] = None,
-    uncertainty: Annotated[float | None, option("Standard uncertainty of both.", "OPENING")] = None,
-    measure: Annotated[
-        bool, flag("--measure", "Find them by a slow ramp of each valve of the simulated plant.")
-    ] = False,
-    method: Method = "",
+    centre: Annotated[Three, option("Commands (-1 to 1) that centre the spools.", "SHOULDER ARM WRIST")],
+    dead_band: Annotated[Three, option("Overlap to either side of the centre.", "SHOULDER ARM WRIST")],
+    uncertainty: Annotated[float, option("Standard uncertainty of both.", "OPENING")],
+    method: Method = "values entered",
     by: By = None,
     expires_days: Days = None,
     note: Note = "",
     json_: Json = False,
 ) -> None:
-    """Set the valves' centres and dead bands, entered or found by a slow ramp."""
+    """Set the valves' centres and dead bands."""
     from bench.calibration.calibration import CalibrationKind
 
-    location = "calibrate valves"
-    given = (centre, dead_band, uncertainty)
-    if measure == any(v is not None for v in given) or (not measure and None in given):
-        expected, action = "--measure, or --centre, --dead-band and --uncertainty", "Give one or the other."
-        raise BenchError(location, "--measure and values" if measure else "values missing", expected, action)
-    content: dict[str, Any] = {"centre": centre, "dead_band": dead_band, "uncertainty": uncertainty}
-    if measure:
-        content = _measured_valves(context.ensure_object(Session).configuration())
-        method = method or "slow ramp on the software plant"
-    _add(context, CalibrationKind.VALVES, content, method or "values entered", by, expires_days, note, json_)
+    content = {"centre": centre, "dead_band": dead_band, "uncertainty": uncertainty}
+    _add(context, CalibrationKind.VALVES, content, method, by, expires_days, note, json_)
 
 
 app.command()(inputs)
@@ -313,7 +298,7 @@ def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) ->
 
 def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     """Return the counts of the running bench; Refused when none runs here or the robot moves."""
-    from bench.calibration.valve_centre import standing_counts
+    from bench.calibration.calibration import standing_counts
     from bench.records.telemetry.ring import NoRing
     from bench.supervisor.ownership import bench_folder
 
@@ -340,33 +325,6 @@ def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
             err=True,
         )
     return found or ("", "", "")
-
-
-def _measured_valves(configuration: Configuration) -> dict[str, Any]:
-    from bench.calibration.valve_centre import SWEEP, find_centre, ramp_valve
-    from drivers.base import ACTUATORS
-
-    if configuration.driver.name != "sim":
-        expected = 'driver "sim": the ramp runs on the software plant only'
-        action = "Measure by hand, and give --centre, --dead-band and --uncertainty."
-        raise Refused("calibrate valves --measure", f"driver {configuration.driver.name}", expected, action)
-    found = []
-    for i, name in enumerate(ACTUATORS):
-        try:
-            found.append(find_centre(*ramp_valve(configuration.plant, i)))
-        except ValueError as error:
-            raise BenchError(
-                f"calibrate valves --measure, {name}",
-                str(error),
-                "both edges of the dead band",
-                "Give the measured edges by hand; see --help.",
-            ) from None
-    return {
-        "centre": [valve.centre for valve in found],
-        "dead_band": [valve.dead_band for valve in found],
-        # An edge is known to about half a step of the ramp, and to the scatter around the fit.
-        "uncertainty": float(SWEEP[1] - SWEEP[0]) / 2 + max(valve.residual for valve in found),
-    }
 
 
 def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> Table:

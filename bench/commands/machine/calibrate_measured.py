@@ -17,12 +17,11 @@ from bench.commands.common.options import Json, argument, flag, option
 from bench.commands.common.session import Session, at_terminal, show_json
 
 if TYPE_CHECKING:
-    from bench.calibration.aerodynamics_fit import FlightUncertainty
-    from bench.calibration.ball_aerodynamics import BallAerodynamics
+    from bench.calibration.ball_aerodynamics import BallAerodynamics, FlightUncertainty
     from bench.calibration.calibration import Entry, SeenInputs
     from bench.commissioning.machine.driver_machine import SimulatedMachine
-    from bench.commissioning.machine.live_robot import OperatorIO
-    from bench.commissioning.steps.inputs_check import WatchedMachine
+    from bench.commissioning.machine.inputs import OperatorIO
+    from bench.commissioning.machine.machine_process import LiveRobot
     from bench.config import Configuration
 
 
@@ -128,7 +127,7 @@ def _fitted(
     radius: float,
 ) -> BallAerodynamics:
     """Return the fit to the flights in the files; BenchError when they do not determine it."""
-    from bench.calibration.aerodynamics_fit import fit_aerodynamics
+    from bench.calibration.ball_aerodynamics import fit_aerodynamics
     from bench.calibration.flight_table import read_flights
     from sim.ball import Ball
 
@@ -188,7 +187,7 @@ def _uncertainty(
     speed: float, angle_deg: float, spin_rpm: float, carry: float, apex: float, time: float, point: float
 ) -> FlightUncertainty:
 
-    from bench.calibration.aerodynamics_fit import FlightUncertainty
+    from bench.calibration.ball_aerodynamics import FlightUncertainty
 
     return FlightUncertainty(speed, radians(angle_deg), spin_rpm * pi / 30, carry, apex, time, point)
 
@@ -220,10 +219,6 @@ def user_name() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return ""
-
-
-SIMULATED_TIMEOUT = 2.0
-"""Timeout of simulated hands (s)."""
 
 
 def inputs(
@@ -275,19 +270,6 @@ def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entr
     return keep_calibration(configuration, seen, datetime.now(UTC), by=by, method="each acted on by hand")
 
 
-def simulated_hands(machine: SimulatedMachine) -> OperatorIO:
-    """Return the hands at a robot simulated in lock-step."""
-    from bench.commissioning.machine.live_robot import OperatorIO
-
-    return OperatorIO(
-        machine.set_supply,
-        lambda text: None,
-        act=machine.act,
-        gauge=machine.gauge,
-        timeout=SIMULATED_TIMEOUT,
-    )
-
-
 def gauge_from_person() -> float:
     """Prompt for the reading of the gauge behind the regulator; Pa above the atmosphere."""
     while True:
@@ -307,19 +289,19 @@ def ask_person(text: str) -> None:
 
 
 @contextmanager
-def _simulated(configuration: Configuration) -> Iterator[tuple[WatchedMachine, OperatorIO]]:
+def _simulated(configuration: Configuration) -> Iterator[tuple[SimulatedMachine, OperatorIO]]:
     from bench.commissioning.machine.driver_machine import SimulatedMachine
 
     c = configuration
     with SimulatedMachine(c.plant, c.plant, tuple(c.faults.values()), inputs_only=True) as machine:
-        yield machine, simulated_hands(machine)
+        yield machine, machine.hands
 
 
 @contextmanager
-def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, OperatorIO]]:
+def _live(configuration: Configuration) -> Iterator[tuple[LiveRobot, OperatorIO]]:
     """Take the bench's place."""
-    from bench.commissioning.machine.inputs import by_person, turned_once
-    from bench.commissioning.machine.live_robot import OperatorIO, live_robot
+    from bench.commissioning.machine.inputs import OperatorIO, by_person, turned_once
+    from bench.commissioning.machine.machine_process import live_robot
     from bench.supervisor.ownership import take_bench
 
     if not at_terminal():

@@ -22,11 +22,9 @@ if TYPE_CHECKING:
     from bench.calibration.calibration import SeenInputs
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.machine.driver_machine import SimulatedMachine
-    from bench.commissioning.machine.live_robot import OperatorIO
-    from bench.commissioning.machine.machine import CommissionedMachine
-    from bench.commissioning.machine.robot_estimate import RobotEstimate
-    from bench.commissioning.machine.step import NamedStep, SwungRobot
-    from bench.commissioning.steps.inputs_check import WatchedMachine
+    from bench.commissioning.machine.inputs import OperatorIO
+    from bench.commissioning.machine.machine_process import LiveRobot
+    from bench.commissioning.machine.step import NamedStep, RobotEstimate, SwungRobot
     from bench.config import Configuration
     from bench.control.settings import EnvelopeSettings
     from sim.live.contact_monitor import ContactMonitor
@@ -135,21 +133,23 @@ def _commission(
 
     On the robot of the configured driver if `live`, else on the simulated `truth` in lock-step.
     """
-    from bench.commissioning.commissioning import ALL_STEPS, commission, commission_swings, known_with_swing
-    from bench.commissioning.folder_lock import folder_lock
+    from bench.commissioning.commissioning import (
+        ALL_STEPS,
+        commission,
+        commission_swings,
+        folder_lock,
+        known_with_swing,
+    )
     from bench.config import load_configuration
 
     nominal = configuration.plant
-
-    def now() -> datetime:
-        return datetime.now(UTC)
 
     def show(what: str) -> None:
         bar.update(task, description=what)
 
     def on_step(step: NamedStep) -> None:
         bar.update(task, description=step.title, completed=len(state.done))
-        _write_report(state, nominal, now())
+        _write_report(state, nominal)
 
     file = state.folder / "robot.toml"
     with (
@@ -160,25 +160,24 @@ def _commission(
         state.save()
         task = bar.add_task(ALL_STEPS[0].title, total=len(ALL_STEPS), completed=len(state.done))
         try:
-            _see_inputs(state, configuration, machine, now, on_step, show)
+            _see_inputs(state, configuration, machine, on_step, show)
             measured, observe = machine.measured, machine.observe
-            known = commission(state, nominal, measured, now, observe=observe, on_step=on_step, progress=show)
+            known = commission(state, nominal, measured, observe=observe, on_step=on_step, progress=show)
             measured.set_supply(float("inf"))
             _write_robot(file, state, known, configuration.envelope)
             robot = load_configuration(file)
-            commission_swings(state, robot, machine.swung, now, on_step=on_step, progress=show)
+            commission_swings(state, robot, machine.swung, on_step=on_step, progress=show)
             swung = known_with_swing(load_configuration(file), state.folder).envelope
             _write_robot(file, state, known, configuration.envelope, swung.max_following_error)
             bar.update(task, completed=len(state.done))
         finally:
-            _write_report(state, nominal, now())
+            _write_report(state, nominal)
 
 
 def _see_inputs(
     state: Commissioning,
     configuration: Configuration,
     machine: _Machine,
-    now: Callable[[], datetime],
     on_step: Callable[[NamedStep], None],
     progress: Callable[[str], None],
 ) -> None:
@@ -186,7 +185,7 @@ def _see_inputs(
     from bench.commands.machine.calibrate_measured import inputs_in_force, keep_inputs, user_name
     from bench.commissioning.commissioning import see_inputs
 
-    in_force = None if state.simulated else inputs_in_force(configuration, now())
+    in_force = None if state.simulated else inputs_in_force(configuration, datetime.now(UTC))
 
     def keep(seen: SeenInputs) -> None:
         if in_force is not None:
@@ -195,9 +194,8 @@ def _see_inputs(
     see_inputs(
         state,
         configuration,
-        machine.watched,
+        machine.measured,
         machine.hands,
-        now,
         in_force=in_force,
         keep=keep,
         on_step=on_step,
@@ -224,9 +222,8 @@ def _write_robot(
 class _Machine(NamedTuple):
     """A robot in the forms that the steps take."""
 
-    measured: CommissionedMachine
+    measured: SimulatedMachine | LiveRobot
     swung: SwungRobot
-    watched: WatchedMachine
     hands: OperatorIO
     observe: Callable[[], tuple[str, ...]]
     """Returns notes after a measuring step."""
@@ -235,14 +232,13 @@ class _Machine(NamedTuple):
 @contextmanager
 def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_Machine]:
     """Yield the robot of `truth`, simulated in lock-step."""
-    from bench.commands.machine.calibrate_measured import simulated_hands
     from bench.commissioning.machine.driver_machine import SimulatedMachine
     from bench.commissioning.machine.step import SimulatedRobot
 
     faults = tuple(truth.faults.values())
     with SimulatedMachine(truth.plant, configuration.plant, faults) as machine:
-        swung, hands = SimulatedRobot(truth.plant, faults), simulated_hands(machine)
-        yield _Machine(machine, swung, machine, hands, lambda: (_loads(machine),))
+        swung = SimulatedRobot(truth.plant, faults)
+        yield _Machine(machine, swung, machine.hands, lambda: (_loads(machine),))
 
 
 @contextmanager
@@ -250,9 +246,8 @@ def _live(
     configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
-    from bench.commands.machine.calibrate_measured import SIMULATED_TIMEOUT
     from bench.commissioning.machine.inputs import in_simulation
-    from bench.commissioning.machine.live_robot import OperatorIO, live_robot
+    from bench.commissioning.machine.machine_process import live_robot
     from bench.supervisor.ownership import take_bench
     from sim.live.contact_monitor import ContactMonitor
 
@@ -263,21 +258,14 @@ def _live(
     with take_bench(c.bench.id) as owner:
         if c.driver.name == "sim":
             marks = ContactMonitor(owner.folder)
-            plant = in_simulation(owner.folder, supply.pressure, supply.atmosphere)
-            hands = OperatorIO(
-                plant.turn,
-                say,
-                look=lambda: _mark_in(marks, truth.plant),
-                act=plant.act,
-                gauge=plant.gauge,
-                timeout=SIMULATED_TIMEOUT,
-            )
+            hands = in_simulation(owner.folder, supply.pressure, supply.atmosphere)
+            hands = hands._replace(say=say, look=lambda: _mark_in(marks, truth.plant))
             moving = live_robot(c, owner, hands, truth)
         else:
             hands = _hands_of_person(c, regulator, bar, say)
             moving = live_robot(c, owner, hands)
         with moving as robot:
-            yield _Machine(robot, robot, robot, hands, tuple)
+            yield _Machine(robot, robot, hands, tuple)
 
 
 def _hands_of_person(
@@ -286,8 +274,7 @@ def _hands_of_person(
     """Return the hands of the person at the terminal, `regulator` being the program that turns it, if any."""
     from bench.commands.machine.calibrate_measured import ask_person, gauge_from_person, saying
     from bench.commands.swing.learn import mark_from_person
-    from bench.commissioning.machine.inputs import by_person, by_program, turned_once
-    from bench.commissioning.machine.live_robot import OperatorIO
+    from bench.commissioning.machine.inputs import OperatorIO, by_person, by_program, turned_once
 
     def ask(text: str) -> None:
         with paused(bar):
@@ -357,13 +344,13 @@ def _loads(machine: SimulatedMachine) -> str:
     )
 
 
-def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> None:
+def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
     """Write the report of the steps done so far."""
     from bench.commissioning.robot_file import commissioning_report
     from bench.records.telemetry.atomic_file import atomic_file
 
     with atomic_file(state.folder / "report.html") as stream:
-        stream.write(commissioning_report(state, nominal, made).encode())
+        stream.write(commissioning_report(state, nominal, datetime.now(UTC)).encode())
 
 
 def _show(state: Commissioning) -> None:

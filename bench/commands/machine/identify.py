@@ -9,7 +9,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.errors import BenchError
 from bench.commands.common.options import Json, argument, option
 from bench.commands.common.output import plain_table
 from bench.commands.common.progress import progress_of
@@ -29,24 +28,21 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     Use swings made with the control of --config, none of them the first after arming.
     """
     from bench.learning.identify import identify as identified
-    from bench.learning.identify import plant_file, write_plant_file
-    from bench.learning.learn import read_recorded
+    from bench.learning.identify import read_recorded, variation_of, write_plant_file
     from bench.simulation.series import Bench
 
     configuration = context.ensure_object(Session).configuration()
-    recorded = read_recorded(records)
-    if not recorded:
-        raise BenchError("identify", "no record", "at least one record", "Give the paths of recorded swings.")
-    bench = Bench.of(configuration, recorded[0].profile)
+    profile, swings = read_recorded(records)
+    bench = Bench.of(configuration, profile)
     with progress_of("simulated robots") as show:
-        found = identified(bench, [swing.cycles for swing in recorded], progress=show)
+        found = identified(bench, swings, progress=show)
     if output is not None:
-        robot = found.variation(bench).applied_to(bench.model)
-        write_plant_file(output, plant_file(robot, found, configuration))
+        robot = variation_of(found.values, bench).applied_to(bench.model)
+        write_plant_file(output, robot, found, configuration)
     if json_:
         return show_json(_record(found))
     console = Console()
-    console.print(_table(found, f"identified from {len(recorded)} swings"))
+    console.print(_table(found, f"identified from {len(swings)} swings"))
     console.print(
         f"Factors on the configured robot. Simulated swings were off by {found.before:.1f} times what swings "
         f"alike differ by, and are by {found.after:.1f} times now.",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -22,7 +22,7 @@ from bench.swing.correction_terms import Source
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.learning.learn import LearningProblem, LearningResult, Recorded, Swinger
+    from bench.learning.learn import LearningProblem, LearningResult, Swinger
     from bench.learning.store import Learned
     from bench.simulation.series import Bench
     from sim.plant import PlantParameters
@@ -41,16 +41,6 @@ Robot = Annotated[
 Draw = Annotated[
     int | None, option("Or seed of a random robot within 10 % of the configured one.", "SEED", low=0)
 ]
-IdentifiedRobot = Annotated[
-    Path | None,
-    option(
-        "Output of golfbench identify: start from a correction learned on that robot in simulation.", "FILE"
-    ),
-]
-Records = Annotated[
-    list[Path] | None,
-    option("Record it was identified from, repeatable: corrects what identification missed.", "RECORD"),
-]
 DeliverySource = Annotated[
     Source | None, option("Source of the delivery on a running bench.", shown="encoders+model")
 ]
@@ -67,8 +57,6 @@ def learn(
     robot: Robot = None,
     draw: Draw = None,
     club: ClubName = None,
-    identified: IdentifiedRobot = None,
-    records: Records = None,
     source: DeliverySource = None,
     swings: Swings = 12,
     output: Output = None,
@@ -80,7 +68,6 @@ def learn(
     """
     from bench.config import database_url
     from bench.design.requirements import require_planned_openings
-    from bench.learning.learn import read_recorded
     from bench.learning.store import Conditions, keep, stored
     from bench.simulation.series import Bench
     from bench.store.database import open_database
@@ -89,8 +76,6 @@ def learn(
 
     elsewhere = {"--robot": robot, "--draw": draw, "--club": club}
     _require_usable({"--source": source} if sim else elsewhere, sim)
-    _require_identified(records, identified)
-    recorded = read_recorded(records or [])
     configuration = context.ensure_object(Session).configuration()
     require_planned_openings(configuration.control)
     ready = assess_bench(configuration, datetime.now(UTC), profile, club=club)
@@ -99,11 +84,11 @@ def learn(
     plant = configuration.plant
     truth = _robot(plant, robot, draw, club)
     bench = Bench.of(configuration, swing)
-    measured, origin = source or "encoders+model", _Origin(identified, recorded)
+    measured = source or "encoders+model"
     if sim:
-        result, simulated = _learn_in_lock_step(bench, truth, origin, swings), True
+        result, simulated = _learn_in_lock_step(bench, truth, swings), True
     else:
-        result, simulated = _learn_live(configuration, bench, origin, measured, swings)
+        result, simulated = _learn_live(configuration, bench, measured, swings)
     settings, now = configuration.bench, datetime.now(UTC)
     conditions = Conditions.of(swing, plant, configuration.air.temperature, truth if simulated else None)
     entry = stored(result, settings.id, swing.name, conditions, measured, now, simulated=simulated)
@@ -134,14 +119,6 @@ def _require_usable(options: Mapping[str, object], sim: bool) -> None:
         raise BenchError("learn", given, expected, action)
 
 
-def _require_identified(records: list[Path] | None, identified: Path | None) -> None:
-    """Refuse `records` without the robot identified from them."""
-    if records and identified is None:
-        raise BenchError(
-            "learn", "--records", "with --identified only", "Name the robot that they identified."
-        )
-
-
 def _robot(plant: PlantParameters, file: Path | None, draw: int | None, club: str | None) -> PlantParameters:
     """Return the robot that swings in simulation: that of `file` or else `plant`, varied by seed `draw`.
 
@@ -154,28 +131,19 @@ def _robot(plant: PlantParameters, file: Path | None, draw: int | None, club: st
     return robot if draw is None else drawn(draw, robot).applied_to(robot)
 
 
-class _Origin(NamedTuple):
-    """What learning starts from besides the model."""
-
-    identified: Path | None
-    """Configuration of the identified robot; None to start from the model."""
-    recorded: Sequence[Recorded]
-    """Swings that it was identified from."""
-
-
-def _learn_in_lock_step(bench: Bench, robot: PlantParameters, origin: _Origin, swings: int) -> LearningResult:
+def _learn_in_lock_step(bench: Bench, robot: PlantParameters, swings: int) -> LearningResult:
     """Learn on the simulated `robot` in at most `swings` swings."""
     from bench.learning.learn import on_series
     from bench.simulation.series import Series
 
     with progress_bar() as bar:
-        problem = _problem(bench, origin, bar)
+        problem = _problem(bench, bar)
         task = bar.add_task(_LEARNING, total=swings + 1)
         return _result(problem, on_series(problem, Series(bench, robot)), swings, bar, task)
 
 
 def _learn_live(
-    configuration: Configuration, bench: Bench, origin: _Origin, source: Source, swings: int
+    configuration: Configuration, bench: Bench, source: Source, swings: int
 ) -> tuple[LearningResult, bool]:
     """Learn on the running bench, set the correction there, and return whether its robot is simulated."""
     from bench.learning.live import LiveSwinger, require_bench
@@ -190,7 +158,7 @@ def _learn_live(
 
     with progress_bar() as bar, BenchClient.connect(configuration) as client:
         require_bench(client.status(), bench.profile, source)
-        problem = _problem(bench, origin, bar)
+        problem = _problem(bench, bar)
         task = bar.add_task(_LEARNING, total=swings + 1)
         with LiveSwinger(client, problem, source, say, ask_mark) as live:
             result = _result(problem, live, swings, bar, task)
@@ -198,18 +166,13 @@ def _learn_live(
         return result, live.simulated
 
 
-def _problem(bench: Bench, origin: _Origin, bar: Progress) -> LearningProblem:
-    """Return the model's response, or that of the identified robot once it has learned."""
-    from bench.config import load_configuration
-    from bench.learning.learn import begun_on, prepare
+def _problem(bench: Bench, bar: Progress) -> LearningProblem:
+    """Return the model's response."""
+    from bench.learning.learn import prepare
 
     task = bar.add_task("the model's response", total=1.0)
     problem = prepare(bench, lambda part: bar.update(task, completed=part))
     bar.update(task, completed=1.0)
-    if origin.identified is not None:
-        task = bar.add_task("the identified robot learns", total=None)
-        problem = begun_on(problem, load_configuration(origin.identified).plant, origin.recorded)
-        bar.update(task, total=1.0, completed=1.0)
     return problem
 
 
@@ -217,15 +180,9 @@ def _result(
     problem: LearningProblem, swinger: Swinger, swings: int, bar: Progress, task: TaskID
 ) -> LearningResult:
     """Learn with `swinger`, one step of the bar's `task` a swing."""
-    from bench.learning.ilc import LearningSettings
     from bench.learning.learn import learn as learned
 
-    return learned(
-        problem,
-        swinger,
-        LearningSettings(swings=swings),
-        on_attempt=lambda attempt: bar.update(task, advance=1),
-    )
+    return learned(problem, swinger, swings, on_attempt=lambda attempt: bar.update(task, advance=1))
 
 
 def mark_from_person() -> tuple[float, float] | None:

@@ -10,18 +10,19 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from math import isfinite
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.clock import Clock, FreeClock
 from bench.base.errors import Refused
-from bench.commissioning.machine.inputs import Act, levels
+from bench.commissioning.machine.inputs import SIMULATED_TIMEOUT, Act, OperatorIO, levels
 from bench.commissioning.machine.machine import (
     ADRIFT,
     Array,
     MotionBounds,
+    MotionLog,
     MotionTrace,
     PassedBound,
     Segment,
@@ -41,8 +42,6 @@ from sim.plant import PlantParameters, build_plant
 
 _SPEED_SPAN = 5
 """Ticks over which a speed is taken."""
-_REST = 5e-4
-"""Max movement of a joint at rest (rad)."""
 _EMPTY = 0.1e5
 """Pressure above the atmosphere at which a chamber counts as empty (Pa)."""
 _LOOK = 0.4
@@ -162,7 +161,7 @@ class DriverMachine:
         self.make_passive()
         self._revive()
         most, look = round(duration / self._tick), round(_LOOK / self._tick)
-        log = _Log(most, self._counts)
+        log = MotionLog(most, self._counts)
         for k in range(most):
             log.note(self._readings, self._applied, 0)
             self._next()
@@ -172,12 +171,9 @@ class DriverMachine:
                 break
         fullest = int(np.argmax(self._pressure()))
         if self._pressure()[fullest] > self._atmosphere + 3.0 * _EMPTY:
-            raise MachineFault(
-                "vents",
-                f"{1e-5 * self._pressure()[fullest]:.2f} bar in {CHAMBERS[fullest]} after {duration:g} s",
-                "empty chambers",
-                "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside.",
-            )
+            found = f"{1e-5 * self._pressure()[fullest]:.2f} bar in {CHAMBERS[fullest]} after {duration:g} s"
+            action = "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside."
+            raise MachineFault("vents", found, "empty chambers", action)
         return log.trace(None, (False,), self._tick)
 
     def watch(
@@ -199,15 +195,7 @@ class DriverMachine:
         while True:
             self._applied = self._driver.write(command)
             self._bounds = ADRIFT if command.supply_enable else None
-            self._await_tick()
-            self._read()
-            self._fault = self._device_failure()
-            self._failed = self._failed + 1 if self._fault.text else 0
-            if self._fault.text and (self._fault.lasting or self._failed > _LOST):
-                self._refuse_to_go_on()
-            if self._stop():
-                self.make_passive()
-                raise stopped_by_operator(self._place, self._again)
+            self._next(interlocks=False)
             readings = unpack_readings(self._readings)
             if command.supply_enable and readings.guard_closed:
                 self._require_spools_centred(start)
@@ -242,7 +230,7 @@ class DriverMachine:
             self._warn()
         self._bounds = bounds
         most = round(min(sum(s.duration for s in segments), bounds.duration) / self._tick)
-        log = _Log(most + 1, self._counts)
+        log = MotionLog(most + 1, self._counts)
         ended: list[bool] = []
         tripped = None
         for number, segment in enumerate(segments):
@@ -253,7 +241,7 @@ class DriverMachine:
         return log.trace(tripped, tuple(ended), self._tick)
 
     def _segment(
-        self, segment: Segment, number: int, bounds: MotionBounds, log: _Log
+        self, segment: Segment, number: int, bounds: MotionBounds, log: MotionLog
     ) -> tuple[PassedBound | None, bool]:
         """Run one segment; return the bound that was passed and whether its condition ended it."""
         ticks = max(round(segment.duration / self._tick), 1)
@@ -274,7 +262,7 @@ class DriverMachine:
                 return None, True
         return None, False
 
-    def _met(self, until: Until, log: _Log, k: int) -> bool:
+    def _met(self, until: Until, log: MotionLog, k: int) -> bool:
         if until.kind == "above":
             return bool(self._pressure()[until.number] >= until.level)
         if until.kind == "moved":
@@ -321,14 +309,16 @@ class DriverMachine:
             self._read()
         self._refuse_to_go_on()
 
-    def _next(self) -> None:
-        """Continue for one tick.
+    def _next(self, *, interlocks: bool = True) -> None:
+        """Continue for one tick; open `interlocks` end it, or not.
 
         Raises:
             Refused: the machine is passive, as an interlock is open, readings fail, or it was stopped.
         """
         self._await_tick()
         self._read()
+        if not interlocks:
+            self._fault = self._device_failure()
         fault = self._fault
         self._failed = self._failed + 1 if fault.text else 0
         if fault.text and (fault.lasting or self._failed > _LOST):
@@ -402,97 +392,24 @@ class DriverMachine:
     def _device_failure(self) -> _Fault:
         """Return the failure of the device or of its sensors."""
         r = self._readings[0]
-        problem, action, lasting, of_device = "", "", False, False
         if not self._driver.operational:
             fault = getattr(self._driver, "fault", "") or "its watchdog, or its link"
-            problem, lasting, of_device = f"the device went passive: {fault}", True, True
             action = f"Check its link, then {self._again}"
-        elif not all(r["encoder_valid"]):
+            return _Fault(f"the device went passive: {fault}", action, lasting=True, of_device=True)
+        if not all(r["encoder_valid"]):
             lost = ", ".join(JOINTS[i] for i in range(3) if not r["encoder_valid"][i])
-            problem, action = f"no valid reading of the encoder of {lost}", "Check its plug and cable."
-            of_device = True
-        elif self._inputs_only:
-            pass
-        elif not np.isfinite(r["supply_pressure"]):
-            problem, action = "no reading of the supply's pressure", "Check the sensor and its cable."
-            of_device = True
-        elif not np.all(np.isfinite(r["chamber_pressure"])):
+            text = f"no valid reading of the encoder of {lost}"
+            return _Fault(text, "Check its plug and cable.", of_device=True)
+        if self._inputs_only:
+            return _Fault()
+        if not np.isfinite(r["supply_pressure"]):
+            text = "no reading of the supply's pressure"
+            return _Fault(text, "Check the sensor and its cable.", of_device=True)
+        if not np.all(np.isfinite(r["chamber_pressure"])):
             lost = ", ".join(CHAMBERS[k] for k in range(6) if not np.isfinite(r["chamber_pressure"][k]))
-            problem, of_device = f"no pressure of {lost}", True
             action = "Fit chamber sensors, or check their cables: commissioning measures the air by them."
-        return _Fault(problem, action, lasting, of_device)
-
-
-class _Log:
-    """Rows of a sequence as they come."""
-
-    def __init__(self, rows: int, counts: int) -> None:
-        self._rows, self._counts, self._n = rows, counts, 0
-        self._count = np.zeros((rows, 3), np.int64)
-        self._first = np.zeros(3, np.int64)
-        self._time, self._supply = np.zeros(rows), np.zeros(rows)
-        self._pressure, self._valve = np.zeros((rows, 6)), np.zeros((rows, 3))
-        self._shut, self._segment = np.zeros(rows, bool), np.zeros(rows, np.int64)
-
-    @property
-    def full(self) -> bool:
-        """Whether no row is left."""
-        return self._n >= self._rows
-
-    def note(self, readings: np.ndarray[Any, Any], command: Command, segment: int) -> None:
-        """Add a row."""
-        r, n = readings[0], self._n
-        count = np.asarray(r["encoder_count"], np.int64)
-        if n == 0:
-            self._first = count.copy()
-        else:
-            before = self._count[n - 1] + self._first
-            half = self._counts // 2
-            self._count[n] = self._count[n - 1] + (count - before + half) % self._counts - half
-        self._time[n], self._supply[n] = r["time"], r["supply_pressure"]
-        self._pressure[n], self._valve[n] = r["chamber_pressure"], command.valve
-        self._shut[n], self._segment[n] = command.exhaust_closed, segment
-        self._n = n + 1
-
-    def way(self) -> Array:
-        """Return the way (3,) rad since the first row."""
-        return np.asarray(self._count[max(self._n - 1, 0)] * (2 * np.pi / self._counts))
-
-    def rested(self, span: int, joint: int | None = None) -> bool:
-        """Return whether `joint`, or each, has rested for `span` rows."""
-        if self._n <= span:
-            return False
-        counts = self._count[self._n - 1 - span : self._n]
-        counts = counts if joint is None else counts[:, [joint]]
-        return bool(np.max(np.ptp(counts, axis=0)) * (2 * np.pi / self._counts) < _REST)
-
-    def trace(self, tripped: PassedBound | None, ended: tuple[bool, ...], tick: float) -> MotionTrace:
-        """Return the rows, one a `tick` (s): rows that a busy machine missed lie between their neighbours."""
-        n = self._n
-        at = np.arange(n, dtype=float)
-        if n > 1:
-            number = np.round((self._time[:n] - self._time[0]) / tick)
-            wanted = np.arange(number[-1] + 1.0)
-            if len(wanted) != n:
-                at = np.interp(wanted, number, at)
-        before = at.astype(np.int64)
-
-        def between(rows: NDArray[Any]) -> Array:
-            columns = rows[:n].reshape(n, -1).T
-            return np.stack([np.interp(at, np.arange(n), column) for column in columns], axis=1)
-
-        return MotionTrace(
-            between(self._time)[:, 0],
-            self._first,
-            np.round(between(self._count)).astype(np.int64),
-            between(self._pressure),
-            between(self._supply)[:, 0],
-            self._valve[before],
-            self._shut[before],
-            self._segment[before],
-            tripped,
-            ended,
-        )
+            return _Fault(f"no pressure of {lost}", action, of_device=True)
+        return _Fault()
 
 
 class SimulatedMachine(DriverMachine):
@@ -520,10 +437,15 @@ class SimulatedMachine(DriverMachine):
         """Turn the simulated regulator to `pressure` (Pa absolute), at most to that of service."""
         turn_regulator(self.driver.plant, self.driver.faults, pressure)
 
-    def gauge(self) -> float:
-        """Return the reading of a true gauge at the manifold, Pa over the atmosphere."""
-        return float(self.driver.plant_state["supply_pressure"][0]) - self._truth.supply.atmosphere
+    @property
+    def hands(self) -> OperatorIO:
+        """Hands at the simulated plant; the gauge at the manifold is true."""
+        state, atmosphere = self.driver.plant_state, self._truth.supply.atmosphere
 
-    def act(self, act: Act) -> None:
-        """Apply the `act` of a person to the simulated plant."""
-        self.driver.plant_state[act.field] = act.value
+        def act(act: Act) -> None:
+            state[act.field] = act.value
+
+        def gauge() -> float:
+            return float(state["supply_pressure"][0]) - atmosphere
+
+        return OperatorIO(self.set_supply, act=act, gauge=gauge, timeout=SIMULATED_TIMEOUT)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.base.errors import BenchError, ExitCode
+from bench.commissioning.machine.step import Mark
 from drivers.base import PASSIVE, Command, Readings
 from sim.live.surroundings import SurroundingsWriter
 
@@ -36,12 +37,7 @@ class Act(NamedTuple):
 ACTS: Mapping[str, Act] = {
     act.key: act
     for act in (
-        Act(
-            "press-stop",
-            "Press an emergency stop, each day another one",
-            "emergency_stop_clear",
-            False,
-        ),
+        Act("press-stop", "Press an emergency stop, each day another one", "emergency_stop_clear", False),
         Act(
             "release-stop",
             "Release the emergency stop, and reset the safety relay",
@@ -105,7 +101,7 @@ class Stage(NamedTuple):
     outputs: Command
     act: str
     """Key of the person's act; empty: only the outputs change."""
-    changed: frozenset[str]
+    changed: tuple[str, ...]
     """Inputs that then differ from the robot at rest."""
 
 
@@ -115,24 +111,20 @@ _OPEN = Command(guard_lock=False)
 _AT_STOP, _AT_GUARD = "emergency stop pressed", "guard opened"
 
 
-def _stage(name: str, outputs: Command, act: str, *changed: str) -> Stage:
-    return Stage(name, outputs, act, frozenset(changed))
-
-
 STAGES: tuple[Stage, ...] = (
-    _stage("at rest", PASSIVE, ""),
-    _stage("outputs energised", _ENERGISED, "", *FEEDBACKS),
-    _stage(_AT_STOP, _ENERGISED, "press-stop", "emergency stop"),
-    _stage("emergency stop released", PASSIVE, "release-stop"),
-    _stage("local reset pressed", PASSIVE, "press-reset", "local reset"),
-    _stage("local reset released", PASSIVE, "release-reset"),
-    _stage("outputs energised again", _ENERGISED, "", *FEEDBACKS),
-    _stage("guard lock released", _UNLOCKED, "", "guard locked", *VENTS),
-    _stage(_AT_GUARD, _UNLOCKED, "open-guard", "guard locked", "guard closed"),
-    _stage("ball on the tee", _OPEN, "place-ball", "guard locked", "guard closed", "ball sensor"),
-    _stage("ball taken", _OPEN, "take-ball", "guard locked", "guard closed"),
-    _stage("guard closed", _OPEN, "close-guard", "guard locked"),
-    _stage("guard locked", PASSIVE, ""),
+    Stage("at rest", PASSIVE, "", ()),
+    Stage("outputs energised", _ENERGISED, "", FEEDBACKS),
+    Stage(_AT_STOP, _ENERGISED, "press-stop", ("emergency stop",)),
+    Stage("emergency stop released", PASSIVE, "release-stop", ()),
+    Stage("local reset pressed", PASSIVE, "press-reset", ("local reset",)),
+    Stage("local reset released", PASSIVE, "release-reset", ()),
+    Stage("outputs energised again", _ENERGISED, "", FEEDBACKS),
+    Stage("guard lock released", _UNLOCKED, "", ("guard locked", *VENTS)),
+    Stage(_AT_GUARD, _UNLOCKED, "open-guard", ("guard locked", "guard closed")),
+    Stage("ball on the tee", _OPEN, "place-ball", ("guard locked", "guard closed", "ball sensor")),
+    Stage("ball taken", _OPEN, "take-ball", ("guard locked", "guard closed")),
+    Stage("guard closed", _OPEN, "close-guard", ("guard locked",)),
+    Stage("guard locked", PASSIVE, "", ()),
 )
 """The check, in its order."""
 _RESET_STAGES = ("local reset pressed", "local reset released")
@@ -301,6 +293,28 @@ def by_program(command: str) -> Regulator:
     return turn
 
 
+class OperatorIO(NamedTuple):
+    """Work at a robot by hand."""
+
+    regulator: Regulator
+    say: Callable[[str], None] = lambda text: None
+    """Says to a person what to do."""
+    person: Callable[[], Mark | None] | None = None
+    """Asks a person at the club for the ball's mark; None: no person is there."""
+    look: Callable[[], Mark | None] = lambda: None
+    """Reads the mark of a simulated ball."""
+    act: Callable[[Act], None] = lambda act: None
+    """Does something at the inputs, or says to a person what to do."""
+    gauge: Callable[[], float] | None = None
+    """Returns the reading of the gauge behind the regulator, Pa over the atmosphere; None: no person."""
+    timeout: float = 60.0
+    """Time for each act at the inputs, s."""
+
+
+SIMULATED_TIMEOUT = 2.0
+"""Time for each act of simulated hands (s)."""
+
+
 def of_simulation(folder: Path) -> Regulator:
     """Return the regulator of the simulated plant with its files in `folder`."""
 
@@ -326,15 +340,7 @@ def act_in_simulation(folder: Path) -> Callable[[Act], None]:
     return act
 
 
-class SimulatedHands(NamedTuple):
-    """Hands at a simulated plant in a separate process."""
-
-    turn: Regulator
-    act: Callable[[Act], None]
-    gauge: Callable[[], float]
-
-
-def in_simulation(folder: Path, service: float, atmosphere: float) -> SimulatedHands:
+def in_simulation(folder: Path, service: float, atmosphere: float) -> OperatorIO:
     """Return the hands at the plant with its files in `folder`; its gauge shows the regulator's setting.
 
     `service` and `atmosphere` are in Pa absolute.
@@ -345,4 +351,6 @@ def in_simulation(folder: Path, service: float, atmosphere: float) -> SimulatedH
         last[0] = min(pressure, service)
         turn(pressure)
 
-    return SimulatedHands(turned, act_in_simulation(folder), lambda: last[0] - atmosphere)
+    return OperatorIO(
+        turned, act=act_in_simulation(folder), gauge=lambda: last[0] - atmosphere, timeout=SIMULATED_TIMEOUT
+    )

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.base import CHAMBERS, JOINTS, Triple
+from drivers.base import CHAMBERS, JOINTS, Command, Triple
 
 Array = NDArray[np.float64]
 
@@ -95,10 +95,6 @@ class MotionTrace:
     ended: tuple[bool, ...] = ()
     """Whether the condition of each segment ended it."""
 
-    def angle(self, counts_per_revolution: int) -> Array:
-        """Return the encoders' angles (n, 3) rad since the first row, as the encoders count."""
-        return np.asarray(self.count * (2 * np.pi / counts_per_revolution))
-
     def of_segment(self, *numbers: int) -> NDArray[np.bool_]:
         """Return the rows (n,) of segments `numbers`."""
         return np.isin(self.segment, numbers)
@@ -109,12 +105,85 @@ class MotionTrace:
         return {name: getattr(self, name) for name in names}
 
 
-class CommissionedMachine(Protocol):
-    """Robot under commissioning, as its sensors and valves show it."""
+_REST = 5e-4
+"""Max movement of a joint at rest (rad)."""
+
+
+class MotionLog:
+    """Rows of a sequence as they come."""
+
+    def __init__(self, rows: int, counts: int) -> None:
+        self._rows, self._counts, self._n = rows, counts, 0
+        self._count = np.zeros((rows, 3), np.int64)
+        self._first = np.zeros(3, np.int64)
+        self._time, self._supply = np.zeros(rows), np.zeros(rows)
+        self._pressure, self._valve = np.zeros((rows, 6)), np.zeros((rows, 3))
+        self._shut, self._segment = np.zeros(rows, bool), np.zeros(rows, np.int64)
 
     @property
-    def time(self) -> float:
-        """Time since the machine was made ready, s."""
+    def full(self) -> bool:
+        """Whether no row is left."""
+        return self._n >= self._rows
+
+    def note(self, readings: np.ndarray[Any, Any], command: Command, segment: int) -> None:
+        """Add a row."""
+        r, n = readings[0], self._n
+        count = np.asarray(r["encoder_count"], np.int64)
+        if n == 0:
+            self._first = count.copy()
+        else:
+            before = self._count[n - 1] + self._first
+            half = self._counts // 2
+            self._count[n] = self._count[n - 1] + (count - before + half) % self._counts - half
+        self._time[n], self._supply[n] = r["time"], r["supply_pressure"]
+        self._pressure[n], self._valve[n] = r["chamber_pressure"], command.valve
+        self._shut[n], self._segment[n] = command.exhaust_closed, segment
+        self._n = n + 1
+
+    def way(self) -> Array:
+        """Return the way (3,) rad since the first row."""
+        return np.asarray(self._count[max(self._n - 1, 0)] * (2 * np.pi / self._counts))
+
+    def rested(self, span: int, joint: int | None = None) -> bool:
+        """Return whether `joint`, or each, has rested for `span` rows."""
+        if self._n <= span:
+            return False
+        counts = self._count[self._n - 1 - span : self._n]
+        counts = counts if joint is None else counts[:, [joint]]
+        return bool(np.max(np.ptp(counts, axis=0)) * (2 * np.pi / self._counts) < _REST)
+
+    def trace(self, tripped: PassedBound | None, ended: tuple[bool, ...], tick: float) -> MotionTrace:
+        """Return the rows, one a `tick` (s): rows that a busy machine missed lie between their neighbours."""
+        n = self._n
+        at = np.arange(n, dtype=float)
+        if n > 1:
+            number = np.round((self._time[:n] - self._time[0]) / tick)
+            wanted = np.arange(number[-1] + 1.0)
+            if len(wanted) != n:
+                at = np.interp(wanted, number, at)
+        before = at.astype(np.int64)
+
+        return MotionTrace(
+            at_rows(self._time[:n, None], at)[:, 0],
+            self._first,
+            np.round(at_rows(self._count[:n], at)).astype(np.int64),
+            at_rows(self._pressure[:n], at),
+            at_rows(self._supply[:n, None], at)[:, 0],
+            self._valve[before],
+            self._shut[before],
+            self._segment[before],
+            tripped,
+            ended,
+        )
+
+
+def at_rows(table: NDArray[Any], rows: Array) -> Array:
+    """Return the values of `table` (n, c) at fractional `rows` (k,), (k, c)."""
+    return np.column_stack([np.interp(rows, np.arange(len(table)), column) for column in table.T])
+
+
+class CommissionedMachine(Protocol):
+    """Robot under commissioning, as the measuring steps see it."""
 
     def set_supply(self, pressure: float) -> None:
         """Set the pressure regulator to `pressure` (Pa absolute); infinite: as in service."""
@@ -134,9 +203,6 @@ class CommissionedMachine(Protocol):
         Raises:
             MachineFault: the chambers are not empty then.
         """
-
-    def make_passive(self) -> None:
-        """Centre the spools, shut the supply, open the vents; never raises."""
 
 
 def bound_passed(bounds: MotionBounds, speed: Array, way: Array, pressure: Array) -> PassedBound | None:

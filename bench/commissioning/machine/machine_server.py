@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,18 +18,11 @@ from bench.base.clock import Clock
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.commissioning.machine.driver_machine import DriverMachine, stopped_by_operator
-from bench.commissioning.machine.machine import MotionBounds, Segment
 from bench.config import Configuration
-from bench.control.settings import (
-    HomingSettings,
-    LifecycleSettings,
-    build_controller,
-    with_tables_of,
-)
+from bench.control.settings import build_controller, with_tables_of
 from bench.control.states import near_address
 from bench.learning.live import swung_cycles
 from bench.loop.loop import Cycle, Cycles, Loop
-from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, return_failed
 from bench.simulation.swing_operator import (
     RETURN_TIMEOUT,
@@ -40,7 +33,7 @@ from bench.simulation.swing_operator import (
 )
 from bench.supervisor.status import cause_text, refusal_words, stall_note
 from bench.swing.profile import Profile
-from drivers.base import Command, Driver, DriverError, Readings
+from drivers.base import Driver, DriverError
 
 _TIMEOUT = 30.0
 """Time for which a request is repeated that the bench refuses for a passing reason (s)."""
@@ -73,11 +66,9 @@ class LiveSeries:
     def __init__(
         self,
         driver: Driver,
-        name: str,
+        configuration: Configuration,
         bench: Bench,
         clock: Clock,
-        lifecycle: LifecycleSettings,
-        homing: HomingSettings,
         *,
         stop: Callable[[], bool],
         say: Say,
@@ -94,14 +85,14 @@ class LiveSeries:
             bench.control,
             bench.envelope,
             bench.estimator,
-            replace(lifecycle, hold_between_swings=True),
-            homing,
+            replace(configuration.lifecycle, hold_between_swings=True),
+            configuration.homing,
         )
         cycle = Cycle(
             driver,
             bench.with_its_limits(made),
             lambda _: None,
-            name=name,
+            name=configuration.driver.name,
             note_truth=getattr(driver, "note_truth", None),
             state=State.STARTING,
         )
@@ -116,7 +107,7 @@ class LiveSeries:
         self._operator.advance(1)
         self._arm()
 
-    def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
+    def swing(self, profile: Profile, ball: bool) -> SeriesSwing:
         """Rest at the address, swing `profile`, and come back; after a stop the robot is armed again.
 
         A swing whose record has gaps before the ball, or that a stall stopped, as the machine was busy, is
@@ -204,11 +195,7 @@ class LiveSeries:
             return CAUSE_WORDS[cause][1]
         return stall_note(cycles[: first + 1], cause, lost, self._operator.period, fault)
 
-    def loads(self) -> Loads | None:
-        """Return None: nothing measures them."""
-        return None
-
-    def let_in(self) -> None:
+    def release_guard(self) -> None:
         """Bring the robot to rest and release the guard, for a person to come to the club.
 
         Raises:
@@ -220,7 +207,7 @@ class LiveSeries:
         operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
         self._ask(Request.ACCESS, _ACCESS)
 
-    def lock(self) -> None:
+    def lock_guard(self) -> None:
         """Lock the guard again, once it is closed; a swing then arms the robot.
 
         Raises:
@@ -329,61 +316,6 @@ class LiveSeries:
             raise stopped_by_operator()
 
 
-class Run(NamedTuple):
-    """Run segments within bounds; answered with the MotionTrace."""
-
-    segments: tuple[Segment, ...]
-    bounds: MotionBounds
-
-
-class WatchInputs(NamedTuple):
-    """Hold outputs and watch the switches; answered with the Readings."""
-
-    command: Command
-    before: Readings | None
-    air: float
-    """Manifold pressure that ends it (Pa absolute)."""
-    settled: float
-    """Time without a change that ends it (s)."""
-    timeout: float
-    """Max duration (s)."""
-
-
-class Vent(NamedTuple):
-    """Be passive until the chambers are empty; answered with the MotionTrace."""
-
-    duration: float
-    """Duration (s)."""
-
-
-class MakePassive(NamedTuple):
-    """Centre the spools, shut the supply, open the vents; a robot that swings is brought to rest first."""
-
-
-class ArmBench(NamedTuple):
-    """Arm for swings of `bench`; answered when the robot holds its address."""
-
-    bench: Bench
-
-
-class Swing(NamedTuple):
-    """Swing a profile; answered with the SeriesSwing."""
-
-    profile: Profile
-    ball: bool
-
-
-class ReleaseGuard(NamedTuple):
-    """Release the guard for a person; answered once it may be opened."""
-
-
-class LockGuard(NamedTuple):
-    """Lock the guard that a person has closed."""
-
-
-Order = ReleaseGuard | LockGuard | Run | WatchInputs | Vent | MakePassive | ArmBench | Swing
-
-
 class MachineServer:
     """A machine that obeys orders, one after the other; `hold` is its tick in between."""
 
@@ -413,53 +345,27 @@ class MachineServer:
             driver, configuration.plant, clock, warning=warning, stop=stop, inputs_only=inputs_only
         )
 
-    @property
-    def time(self) -> float:
-        """Time of the machine since it was opened, s."""
-        return self._machine.time
+    def obey(self, order: str, *given: Any) -> Any:
+        """Return the answer of `order`: "arm", or a method of the armed series or of the machine.
 
-    def obey(self, order: Order) -> object:
-        """Do `order` and return its answer.
+        A bench that is armed is brought to rest before an order to the machine.
 
         Raises:
             MachineFault, Refused: as the machine and the series.
             DriverError: the device failed; it is passive.
         """
-        match order:
-            case Swing(profile, ball):
-                return self._armed().swing(profile, ball=ball)
-            case ReleaseGuard():
-                self._armed().let_in()
-                return None
-            case LockGuard():
-                self._armed().lock()
-                return None
-            case ArmBench(bench):
-                self._end_series()
-                self._machine.make_passive()
-                c = self._configuration
-                self._series = LiveSeries(
-                    self._driver,
-                    c.driver.name,
-                    bench,
-                    self._clock,
-                    c.lifecycle,
-                    c.homing,
-                    stop=self._stop,
-                    say=self._say,
-                )
-                return None
+        if order in ("swing", "release_guard", "lock_guard"):
+            if self._series is None:
+                raise ValueError("a swing of a robot that is not armed")
+            return getattr(self._series, order)(*given)
         self._end_series()
-        match order:
-            case Run(segments, bounds):
-                return self._machine.run(segments, bounds)
-            case WatchInputs():
-                return self._machine.watch(*order)
-            case Vent(duration):
-                return self._machine.vent(duration)
-            case MakePassive():
-                self._machine.make_passive()
-                return None
+        if order != "arm":
+            return getattr(self._machine, order)(*given)
+        self._machine.make_passive()
+        self._series = LiveSeries(
+            self._driver, self._configuration, *given, self._clock, stop=self._stop, say=self._say
+        )
+        return None
 
     def hold(self) -> None:
         """Continue for one tick as the last order left the machine."""
@@ -476,11 +382,6 @@ class MachineServer:
             for _ in range(3):  # a frame on a bus may be lost
                 self._machine.make_passive()
             self._driver.close()
-
-    def _armed(self) -> LiveSeries:
-        if self._series is None:
-            raise ValueError("a swing of a robot that is not armed")
-        return self._series
 
     def _end_series(self) -> None:
         series, self._series = self._series, None

@@ -1,23 +1,18 @@
-"""A step of commissioning: its moves, what its traces say, and the faults it may find."""
+"""A step of commissioning: its moves, what its traces say, the faults it may find, and the robot as known."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from bench.base.errors import Refused
-from bench.commissioning.machine.machine import (
-    CommissionedMachine,
-    MotionBounds,
-    MotionTrace,
-    Segment,
-    Until,
-)
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment, Until
 from bench.config import Configuration
+from bench.control.measured_plant import value_at, with_values
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
@@ -29,7 +24,10 @@ from sim.kane import mass_matrix
 from sim.plant import PlantParameters
 
 Side = Literal["lower", "upper"]
+SIDES: tuple[Side, Side] = ("upper", "lower")
 
+ACTUATOR_KEYS = ("shoulder", "right_arm", "wrist")
+"""Tables of the three actuators in the configuration, in the order of ACTUATORS."""
 FOLD_ORDER = (2, 1, 0)
 """Joints in the order in which they go to their lower stops: first the club is folded off the ground."""
 MOVING = 3.0e5
@@ -52,6 +50,45 @@ _JUMP = 100.0
 """Speed beyond which a count has jumped (rad/s)."""
 _CUSHION_SHARE = 0.5
 """Share of a cushion's rated energy that a joint has at the speed bound."""
+
+
+class ParameterEstimate(NamedTuple):
+    """A value that a step found."""
+
+    key: str
+    """Dotted key below [plant]; in a list with the index: encoders.sign.0."""
+    value: float
+    error: float
+    """Standard error."""
+    unit: str = ""
+    step: str = ""
+    """Name of the step that found it."""
+
+
+class RobotEstimate:
+    """The configured robot with the values found so far."""
+
+    def __init__(self, nominal: PlantParameters, found: Iterable[ParameterEstimate] = ()) -> None:
+        """Begin with `nominal` and values `found` before."""
+        self.nominal = nominal
+        self.found: dict[str, ParameterEstimate] = {}
+        self.plant = nominal
+        """The robot as far as it is known."""
+        self.add(found)
+
+    def add(self, values: Iterable[ParameterEstimate]) -> None:
+        """Add `values`; one that was found before is replaced."""
+        self.found |= {value.key: value for value in values}
+        self.plant = with_values(self.nominal, {key: found.value for key, found in self.found.items()})
+
+    def value(self, key: str) -> float:
+        """Return the value of `key`, found or configured."""
+        return float(value_at(self.plant, key))
+
+    def error(self, key: str, otherwise: float) -> float:
+        """Return the standard error of `key`; `otherwise` if it was not found."""
+        found = self.found.get(key)
+        return otherwise if found is None else found.error
 
 
 class StopMove(NamedTuple):
@@ -100,16 +137,15 @@ def beyond(known: RobotEstimate, actuator: int, side: Side, opening: float) -> f
     return upper + opening if side == "upper" else lower - opening
 
 
-def openings(known: RobotEstimate, parked: Iterable[int], **moved: float) -> Triple:
+def openings(known: RobotEstimate, joint: int, command: float, parked: Iterable[int] = FOLD_ORDER) -> Triple:
     """Return commands that hold joints `parked` at their lower stops and centre the other spools.
 
-    `moved` gives the commands of joints by name.
+    `joint` has its `command`.
     """
     values = list(centres(known))
     for i in parked:
         values[i] = beyond(known, i, "lower", PARKING)
-    for name, value in moved.items():
-        values[JOINTS.index(name)] = value
+    values[joint] = command
     a, b, c = values
     return a, b, c
 
@@ -126,7 +162,7 @@ def move_to_stop(
     name, chamber = JOINTS[joint], 2 * joint + (0 if side == "upper" else 1)
 
     def at(opening: float) -> Triple:
-        return openings(known, parked, **{name: beyond(known, joint, side, opening)})
+        return openings(known, joint, beyond(known, joint, side, opening), parked)
 
     bounds = slow_bounds(known.plant, 1.2 * PRESSING)
     rested = Until("rested", joint, _RESTED)
@@ -180,38 +216,31 @@ def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters)
     """Raise MachineFault if a bound ended `trace` by an encoder of another joint or of a wrong scale."""
     if not trace.tripped:
         return
-    way = np.abs(trace.angle(plant.encoders.counts_per_revolution)[-1])
+    way = np.abs(trace.count[-1] * (2 * np.pi / plant.encoders.counts_per_revolution))
     lower, upper = joint_travel(plant)
     jumps = np.abs(np.diff(trace.count, axis=0)).max(axis=0, initial=0)
     for name, jump in zip(JOINTS, jumps.tolist(), strict=True):
         if jump > _JUMP * plant.tick * plant.encoders.counts_per_revolution / (2 * np.pi):
-            raise MachineFault(
-                f"{name} encoder",
-                f"its count jumps by {jump}: wrong scale, or broken",
-                f"counts up to {plant.encoders.counts_per_revolution} that change evenly",
-                "Correct plant.encoders.counts_per_revolution, or check cable, shield and encoder.",
-            )
+            found = f"its count jumps by {jump}: wrong scale, or broken"
+            expected = f"counts up to {plant.encoders.counts_per_revolution} that change evenly"
+            action = "Correct plant.encoders.counts_per_revolution, or check cable, shield and encoder."
+            raise MachineFault(f"{name} encoder", found, expected, action)
     name, seen = JOINTS[joint], int(np.argmax(way))
     if seen != joint and way[joint] < _OWN_SHARE * way[seen]:
         raise swapped_encoders(joint, seen, way)
     if trace.tripped.way_of == joint:
-        raise MachineFault(
-            f"{name} encoder",
-            f"turns by {way[joint]:.2f} rad and is not at a stop: wrong scale, or no stop",
-            f"at most {(upper - lower)[joint]:.2f} rad between the stops",
-            "Correct plant.encoders.counts_per_revolution, or fasten its coupling, or fit the stop.",
-        )
+        found = f"turns by {way[joint]:.2f} rad and is not at a stop: wrong scale, or no stop"
+        expected = f"at most {(upper - lower)[joint]:.2f} rad between the stops"
+        action = "Correct plant.encoders.counts_per_revolution, or fasten its coupling, or fit the stop."
+        raise MachineFault(f"{name} encoder", found, expected, action)
 
 
 def swapped_encoders(joint: int, seen: int, way: np.ndarray) -> MachineFault:
     """Return that the encoder of joint `seen` follows `joint`; `way` (3,) rad by the encoders."""
     name, other = JOINTS[joint], JOINTS[seen]
-    return MachineFault(
-        f"{name} encoder",
-        f"turns by {way[joint]:.2f} rad when the {name} moves, that of the {other} by {way[seen]:.2f} rad",
-        f"the encoder of the {name} follows it",
-        f"The encoders of {name} and {other} are swapped: exchange their cables.",
-    )
+    found = f"turns by {way[joint]:.2f} rad when the {name} moves, that of the {other} by {way[seen]:.2f} rad"
+    action = f"The encoders of {name} and {other} are swapped: exchange their cables."
+    return MachineFault(f"{name} encoder", found, f"the encoder of the {name} follows it", action)
 
 
 def require_within(trace: MotionTrace, doing: str) -> None:
@@ -228,6 +257,23 @@ def require_within(trace: MotionTrace, doing: str) -> None:
             "Look for a valve that opens too far, an encoder that jumps, or a supply that is not turned down."
         )
     raise MachineFault(doing, trace.tripped.text, "a slow motion between the stops", action)
+
+
+def run_slowly(
+    machine: CommissionedMachine,
+    known: RobotEstimate,
+    segments: tuple[Segment, ...],
+    doing: str,
+    pressure: float = 1.2 * PRESSING,
+) -> MotionTrace:
+    """Return the trace of `segments` within slow bounds below `pressure` (Pa).
+
+    Raises:
+        MachineFault: a bound was passed, `doing` that.
+    """
+    trace = machine.run(segments, slow_bounds(known.plant, pressure))
+    require_within(trace, doing)
+    return trace
 
 
 class MachineFault(Refused):
@@ -323,50 +369,37 @@ class StepResult(NamedTuple):
     """Findings for the report other than values."""
 
 
-class NamedStep(Protocol):
-    """Name, title and bounds of any step."""
+@dataclass(frozen=True)
+class NamedStep:
+    """A step of commissioning."""
 
-    @property
-    def name(self) -> str:
-        """Short name, part of file names."""
-
-    @property
-    def title(self) -> str:
-        """Title of the findings, for the report."""
-
-    @property
-    def bounds_text(self) -> str:
-        """How the energy is bounded, for the report."""
+    name: str
+    """Short name, part of file names."""
+    title: str
+    """Title of the findings, for the report."""
+    bounds_text: str
+    """How the energy is bounded, for the report."""
 
 
-class SwingingStep(NamedStep, Protocol):
+@dataclass(frozen=True)
+class SwingingStep(NamedStep):
     """A step that swings the robot as it was measured."""
 
-    def swing(
-        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
-    ) -> StepResult:
-        """Swing `robot`, `known` as measured, leave files in `folder`, and give `progress` the present part.
+    swing: Callable[[SwungRobot, Configuration, Path, Callable[[str], None]], StepResult]
+    """Swings the robot as measured, leaves files in the folder, and reports the present part.
 
-        Raises:
-            MachineFault: the machine does not swing as a right one does.
-            Refused: it does not come to its address.
-        """
+    Raises MachineFault if it does not swing as a right one does, Refused if it does not reach its address.
+    """
 
 
-class CommissioningStep(NamedStep, Protocol):
+@dataclass(frozen=True)
+class CommissioningStep(NamedStep):
     """A measuring step; measuring and estimating are separate: a stored trace can be estimated again."""
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Move the robot and return the traces; the robot is vented afterwards.
+    measure: Callable[[CommissionedMachine, RobotEstimate], Traces]
+    """Moves the robot, which is vented afterwards.
 
-        Raises:
-            MachineFault: the machine does not behave as a fault-free one.
-            Refused: an interlock ended it.
-        """
-
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return what `traces` say; a pure function of them.
-
-        Raises:
-            MachineFault: they say that the machine is wrong.
-        """
+    Raises MachineFault if the machine does not behave as a fault-free one, Refused if an interlock ended it.
+    """
+    estimate: Callable[[Traces, RobotEstimate], StepResult]
+    """Pure function of the traces; raises MachineFault if they say that the machine is wrong."""

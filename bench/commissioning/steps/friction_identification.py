@@ -1,19 +1,15 @@
-"""Steps 3 and 4: the air of the actuators at their stops; friction and masses from slow moves.
+"""Step 4: friction and masses from slow moves, and the supply in service.
 
-Step 3: leakage, dead volumes, effective areas and the valves' flow, from filling and decay at the stops. At a
-stop the volumes are dead volume plus area times way: both stops together give both. What closed chambers lose
-or gain says what leaks, and how they empty through the vents says how large they are.
-
-Step 4: friction and masses from slow moves, and the supply in service. While one joint moves slowly and the
-others rest parked, its chambers' force is gravity, friction and a little inertia. The force is known by the
-areas of step 3, whose scale is part of the errors; masses and inertias are those of the configuration within
-their tolerance, as far as the moves do not say more. Pauses on the way show the force that breaks the joint
-loose.
+While one joint moves slowly and the others rest parked, its chambers' force is gravity, friction and a little
+inertia. The force is known by the areas of step 3, whose scale is part of the errors; masses and inertias are
+those of the configuration within their tolerance, as far as the moves do not say more. Pauses on the way show
+the force that breaks the joint loose.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,159 +19,35 @@ from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import (
+    ACTUATOR_KEYS,
     FOLD_ORDER,
-    MOVING,
     PRESSING,
+    SIDES,
+    CommissioningStep,
     MachineFault,
+    ParameterEstimate,
+    RobotEstimate,
     Side,
     StepResult,
     Traces,
-    at_both_stops,
     beyond,
     centres,
     fold,
     openings,
-    require_within,
-    slow_bounds,
+    run_slowly,
 )
 from bench.commissioning.steps.pneumatic_identification import (
-    NAMES,
-    UNITS,
     VENT_TOLERANCE,
-    AirFit,
-    AirTrace,
-    fit_air,
     joint_angles,
-    nominal_values,
     robust_errors,
     way_per_angle,
 )
 from bench.control.measured_plant import value_at, with_values
-from drivers.base import JOINTS, Triple
+from drivers.base import JOINTS
 from sim.driver import joint_travel
 from sim.kane import bias_forces, inverse_dynamics
 from sim.plant import PlantParameters
-
-_FILL, _COUNTER = 0.10, 0.05
-"""Openings beyond the edges: filling the chamber that presses the joint, and the other one."""
-_HELD = (2, 4)
-"""Segments in which all is shut."""
-_FULL, _HALF = 2.7e5, 1.8e5
-"""Pressures up to which the two are filled, Pa absolute."""
-_HOLD, _SHORT_HOLD, _DECAY = 2.5, 0.6, 1.6
-"""Durations of the holds and of the decay (s)."""
-MAX_LEAKAGE = 0.008
-"""Max leakage of a valve that is right, as a share of its full opening."""
-MAX_CROSS_LEAKAGE = 2e-10
-"""Max leakage past the seals of an actuator that is right, m3/(s Pa)."""
-
-
-class Leakage:
-    """Step 3."""
-
-    name = "leakage"
-    title = "Leakage, dead volumes, effective areas, flow of the valves"
-    bounds_text = "chambers up to 2.7 bar absolute at a supply of 3 bar, joints at their stops"
-
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Fill, hold and empty the chambers of each joint at either stop."""
-        return at_both_stops(machine, known, _fill_and_decay)
-
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return the air of all actuators."""
-        values: list[ParameterEstimate] = []
-        notes: list[str] = []
-        if vents_stay_open(traces, known):
-            raise MachineFault(
-                "vents",
-                "chambers empty through them when they are commanded shut",
-                "chambers that hold their air",
-                "A vent stays open: check its coil, cable and pilot air, then replace it.",
-            )
-        for i, key in enumerate(ACTUATOR_KEYS):
-            sure = [name for name in ("valve.centre", "valve.dead_band") if f"{key}.{name}" in known.found]
-            fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i, sure)
-            _require_tight(i, fit)
-            for name, value, error, unit in zip(NAMES, fit.values, fit.error, UNITS, strict=True):
-                values.append(ParameterEstimate(f"{key}.{name}", float(value), float(error), unit, self.name))
-            notes.append(f"{JOINTS[i]}: pressures fit within {fit.residual:.0f} Pa")
-        return StepResult(tuple(values), tuple(notes))
-
-
-def vents_stay_open(traces: Traces, known: RobotEstimate) -> bool:
-    """Return whether the chambers of all joints, when closed, behave as with open vents in `traces`."""
-    for i, joint in enumerate(JOINTS):
-        errors = []
-        for vents in (0.0, known.plant.supply.vent_conductance):
-            total = 0.0
-            for side in ("lower", "upper"):
-                air = AirTrace(traces[f"{joint} {side}"], i, known.plant)
-                air.vent = np.full(len(air.vent), vents)
-                rows = air.windows()
-                held = rows[np.isin(air.segment[rows[:, 0]], _HELD)]
-                total += float(np.square(air.errors(nominal_values(known, i), held)).sum())
-            errors.append(total)
-        if errors[1] >= errors[0]:
-            return False
-    return True
-
-
-def _require_tight(joint: int, fit: AirFit) -> None:
-    leakage, cross = fit.values[NAMES.index("valve.leakage")], fit.values[NAMES.index("cross_leakage")]
-    if leakage > MAX_LEAKAGE:
-        raise MachineFault(
-            f"air of the {JOINTS[joint]}",
-            f"closed chambers leak {100 * leakage:.1f} % of the valve's full opening",
-            f"up to {100 * MAX_LEAKAGE:.1f} %",
-            f"Look for a leaking hose, fitting or valve at the {JOINTS[joint]}, or a vent that stays open.",
-        )
-    if cross > MAX_CROSS_LEAKAGE:
-        raise MachineFault(
-            f"air of the {JOINTS[joint]}",
-            f"{cross:.1e} m3/(s Pa) pass from chamber to chamber",
-            f"up to {MAX_CROSS_LEAKAGE:.1e} m3/(s Pa)",
-            f"The piston's or vane's seals of the {JOINTS[joint]} are worn: replace them.",
-        )
-
-
-def _fill_and_decay(
-    machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side
-) -> MotionTrace:
-    """Return the trace of `joint` at its stop at `side`: filled, held, counter-filled, held, emptied."""
-    other: Side = "lower" if side == "upper" else "upper"
-    pressing, counter = (2 * joint, 2 * joint + 1) if side == "upper" else (2 * joint + 1, 2 * joint)
-
-    def at(command: float) -> Triple:
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
-
-    closed = at(centres(known)[joint])
-    machine.set_supply(MOVING)
-    trace = machine.run(
-        (
-            Segment(_DECAY, closed),
-            Segment(
-                6.0,
-                at(beyond(known, joint, side, _FILL)),
-                vents_shut=True,
-                until=Until("above", pressing, _FULL),
-            ),
-            Segment(_HOLD, closed, vents_shut=True),
-            Segment(
-                0.25,
-                at(beyond(known, joint, other, _COUNTER)),
-                vents_shut=True,
-                until=Until("above", counter, _HALF),
-            ),
-            Segment(_SHORT_HOLD, closed, vents_shut=True),
-            Segment(_DECAY + known.plant.supply.vent_delay, closed),
-        ),
-        slow_bounds(known.plant, 1.2 * PRESSING),
-    )
-    require_within(trace, f"{JOINTS[joint]} filled at its {side} stop")
-    return trace
-
 
 _BODIES = ("shoulder_link", "left_arm", "rod", "cylinder")
 _OPENINGS = (0.05, 0.08, 0.12)
@@ -230,69 +102,64 @@ class SlowFit(NamedTuple):
     """(3,) scatter of the torques, N m."""
 
 
-class SlowMoves:
-    """Step 4."""
+def _measure_friction(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
+    """Move each joint up and down slowly, with pauses; then read the supply's pressure in service."""
+    machine.vent()
+    fold(machine, known)
+    machine.set_supply(PRESSING)
+    traces: dict[str, MotionTrace] = {}
+    for i in FOLD_ORDER[::-1]:
+        for opening in _OPENINGS:
+            for side in SIDES:
+                traces[f"{JOINTS[i]} to {side} {opening}"] = _move(machine, known, i, side, opening)
+    machine.vent()
+    machine.set_supply(float("inf"))
+    rest = (Segment(2.0, centres(known)),)
+    traces["supply"] = run_slowly(machine, known, rest, "supply in service", 12e5)
+    machine.vent()
+    return traces
 
-    name = "friction"
-    title = "Friction, masses, supply in service"
-    bounds_text = (
-        "openings up to 0.12 beyond the edge at 4.5 bar absolute, vents open; then the supply in service, "
-        "spools centred"
-    )
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Move each joint up and down slowly, with pauses; then read the supply's pressure in service."""
-        machine.vent()
-        fold(machine, known)
-        machine.set_supply(PRESSING)
-        traces: dict[str, MotionTrace] = {}
-        for i in FOLD_ORDER[::-1]:
-            for opening in _OPENINGS:
-                for side in ("upper", "lower"):
-                    trace = _move(machine, known, i, "upper" if side == "upper" else "lower", opening)
-                    traces[f"{JOINTS[i]} to {side} {opening}"] = trace
-        machine.vent()
-        machine.set_supply(float("inf"))
-        trace = machine.run((Segment(2.0, centres(known)),), slow_bounds(known.plant, 12e5))
-        require_within(trace, "supply in service")
-        traces["supply"] = trace
-        machine.vent()
-        return traces
+def _estimate_friction(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return friction of all actuators and the pressure of the supply."""
+    values: list[ParameterEstimate] = []
+    notes: list[str] = []
+    own = [[t for name, t in traces.items() if name.startswith(f"{joint} ")] for joint in JOINTS]
+    fit = fit_slow_moves(own, known.plant)
+    for i, key in enumerate(ACTUATOR_KEYS):
+        unit = "N m" if i == 0 else "N"
+        units = (unit, unit, f"{unit} s/{'rad' if i == 0 else 'm'}")
+        rows = zip(_FRICTION, fit.friction[i], fit.friction_error[i], units, strict=True)
+        for name, value, error, text in rows:
+            values.append(ParameterEstimate(f"{key}.friction.{name}", float(value), float(error), text))
+        notes.append(f"{JOINTS[i]}: torques fit within {fit.residual[i]:.2f} N m")
+    for key, value, error in zip(MASSES, fit.masses, fit.mass_error, strict=True):
+        text = "kg m2" if key.endswith("inertia") else "kg"
+        values.append(ParameterEstimate(key, float(value), float(error), text))
+    values.append(_supply(traces["supply"]))
+    return StepResult(tuple(values), tuple(notes))
 
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return friction of all actuators and the pressure of the supply."""
-        values: list[ParameterEstimate] = []
-        notes: list[str] = []
-        own = [[t for name, t in traces.items() if name.startswith(f"{joint} ")] for joint in JOINTS]
-        fit = fit_slow_moves(own, known.plant)
-        for i, key in enumerate(ACTUATOR_KEYS):
-            unit = "N m" if i == 0 else "N"
-            units = (unit, unit, f"{unit} s/{'rad' if i == 0 else 'm'}")
-            rows = zip(_FRICTION, fit.friction[i], fit.friction_error[i], units, strict=True)
-            for name, value, error, text in rows:
-                values.append(
-                    ParameterEstimate(f"{key}.friction.{name}", float(value), float(error), text, self.name)
-                )
-            notes.append(f"{JOINTS[i]}: torques fit within {fit.residual[i]:.2f} N m")
-        for key, value, error in zip(MASSES, fit.masses, fit.mass_error, strict=True):
-            text = "kg m2" if key.endswith("inertia") else "kg"
-            values.append(ParameterEstimate(key, float(value), float(error), text, self.name))
-        values.append(_supply(traces["supply"]))
-        return StepResult(tuple(values), tuple(notes))
+
+FRICTION = CommissioningStep(
+    "friction",
+    "Friction, masses, supply in service",
+    "openings up to 0.12 beyond the edge at 4.5 bar absolute, vents open; then the supply in service, "
+    "spools centred",
+    _measure_friction,
+    _estimate_friction,
+)
+"""Step 4."""
 
 
 def _supply(trace: MotionTrace) -> ParameterEstimate:
     last = trace.supply[len(trace.supply) // 2 :]
     pressure = float(np.median(last))
     if pressure < MIN_SUPPLY:
-        raise MachineFault(
-            "supply",
-            f"{1e-5 * pressure:.2f} bar absolute in service",
-            f"at least {1e-5 * MIN_SUPPLY:.1f} bar absolute",
-            "The supply is too low: check compressor, regulator, filter and hoses.",
-        )
+        found = f"{1e-5 * pressure:.2f} bar absolute in service"
+        action = "The supply is too low: check compressor, regulator, filter and hoses."
+        raise MachineFault("supply", found, f"at least {1e-5 * MIN_SUPPLY:.1f} bar absolute", action)
     error = max(_GAUGE, float(np.ptp(last)))
-    return ParameterEstimate("supply.pressure", pressure, error, "Pa absolute", SlowMoves.name)
+    return ParameterEstimate("supply.pressure", pressure, error, "Pa absolute")
 
 
 def _move(
@@ -301,9 +168,7 @@ def _move(
     """Return the trace of `joint` moving to `side` with pauses."""
     travel = np.ptp(np.array(joint_travel(known.plant)), axis=0)[joint]
 
-    def at(command: float) -> Triple:
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
-
+    at = partial(openings, known, joint)
     edge, moving = (beyond(known, joint, side, x) for x in (0.0, opening))
     segments = []
     for share in _PAUSES:
@@ -317,9 +182,8 @@ def _move(
     segments.append(Segment(_LEVEL, at(moving), until=Until("rested", joint, 0.8)))
     last = at(beyond(known, joint, side, _OPENINGS[-1]))
     segments.append(Segment(_LEVEL, last, until=Until("rested", joint, 0.8)))
-    trace = machine.run(tuple(segments), slow_bounds(known.plant, 1.2 * PRESSING))
-    require_within(trace, f"{JOINTS[joint]} moved slowly to its {side} stop")
-    return trace
+    doing = f"{JOINTS[joint]} moved slowly to its {side} stop"
+    return run_slowly(machine, known, tuple(segments), doing)
 
 
 def fit_slow_moves(traces: Sequence[Sequence[MotionTrace]], plant: PlantParameters) -> SlowFit:

@@ -9,22 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, isfinite, isnan
-from typing import Protocol
 
 from bench.base.errors import Refused
 from bench.calibration.calibration import SeenInputs, wiring_digest
-from bench.commissioning.machine.inputs import (
-    ACTS,
-    Act,
-    InputFinding,
-    Regulator,
-    Stage,
-    fitted,
-    judged,
-    stages,
-)
+from bench.commissioning.machine.driver_machine import SimulatedMachine
+from bench.commissioning.machine.inputs import ACTS, InputFinding, OperatorIO, Stage, fitted, judged, stages
 from bench.commissioning.machine.machine import DRIFT
-from bench.commissioning.machine.step import MachineFault
+from bench.commissioning.machine.machine_process import LiveRobot
+from bench.commissioning.machine.step import MachineFault, NamedStep
 from bench.config import Configuration
 from drivers.base import CHAMBERS, Command, Readings
 
@@ -43,61 +35,19 @@ _SETTLED, _FILLED = 1.0, 3.0
 _WARNING = Command(beacon=True)
 
 
-class WatchedMachine(Protocol):
-    """Machine whose inputs are watched."""
-
-    def watch(
-        self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
-    ) -> Readings:
-        """Hold `command` until the switches differ from `before`, if given, and rested for `settled` (s).
-
-        After `timeout` (s) the last readings are returned whatever they are, and at once with more than
-        `air` (Pa absolute) in the manifold; the machine is passive then. An open interlock ends nothing.
-
-        Raises:
-            Refused: the device fails.
-            MachineFault: a joint moves with air on.
-        """
-
-    def make_passive(self) -> None:
-        """Centre the spools, shut the supply, open the vents; never raises."""
-
-
-class InputHands(Protocol):
-    """Hands at the machine."""
-
-    @property
-    def regulator(self) -> Regulator:
-        """Turns the regulator."""
-
-    @property
-    def act(self) -> Callable[[Act], None]:
-        """Does something, or says to a person what to do."""
-
-    @property
-    def gauge(self) -> Callable[[], float] | None:
-        """Returns the reading of the gauge at the regulator, Pa over the atmosphere; None: no person."""
-
-    @property
-    def timeout(self) -> float:
-        """Time for each act, s."""
-
-
-class InputsStep:
-    """Step 0."""
-
-    name = "inputs"
-    title = "Interlocks, buttons and switches, one by one; supply sensor against the gauge"
-    bounds_text = (
-        "no air for the switches, then "
-        f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open, "
-        f"spools centred; a joint whose spool is off its centre drifts, at {DRIFT:g} rad/s at most"
-    )
+INPUT_CHECK = NamedStep(
+    "inputs",
+    "Interlocks, buttons and switches, one by one; supply sensor against the gauge",
+    "no air for the switches, then "
+    f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open, "
+    f"spools centred; a joint whose spool is off its centre drifts, at {DRIFT:g} rad/s at most",
+)
+"""Step 0."""
 
 
 def check_inputs(
-    machine: WatchedMachine,
-    hands: InputHands,
+    machine: SimulatedMachine | LiveRobot,
+    hands: OperatorIO,
     configuration: Configuration,
     progress: Callable[[str], None] = lambda what: None,
 ) -> tuple[SeenInputs, list[InputFinding]]:
@@ -110,9 +60,7 @@ def check_inputs(
     """
     if hands.gauge is None:
         action = "Run it in a terminal, or golfbench calibrate inputs before."
-        raise Refused(
-            "check of the inputs", "no person at the machine", "a person who acts and reads", action
-        )
+        raise _refused("no person at the machine", "a person who acts and reads", action)
     c, atmosphere = configuration, configuration.plant.supply.atmosphere
     done = stages(local_reset=c.lifecycle.local_reset)
     try:
@@ -132,6 +80,10 @@ def check_inputs(
     return SeenInputs(names, wiring_digest(c), found, deviation), findings
 
 
+def _refused(found: str, expected: str, action: str) -> Refused:
+    return Refused("check of the inputs", found, expected, action)
+
+
 def raise_findings(findings: list[InputFinding]) -> None:
     """Raise MachineFault with all `findings`, if there are any."""
     if findings:
@@ -142,8 +94,8 @@ def raise_findings(findings: list[InputFinding]) -> None:
 
 
 def _watched(
-    machine: WatchedMachine,
-    hands: InputHands,
+    machine: SimulatedMachine | LiveRobot,
+    hands: OperatorIO,
     c: Configuration,
     done: tuple[Stage, ...],
     progress: Callable[[str], None],
@@ -159,12 +111,9 @@ def _watched(
         before = seen[-1] if stage.act else None
         seen.append(machine.watch(stage.outputs, before, air, settled, hands.timeout + settled))
         if isfinite(seen[-1].supply_pressure) and seen[-1].supply_pressure > air:
-            raise Refused(
-                "check of the inputs",
-                f"{1e-5 * seen[-1].supply_pressure:.2f} bar absolute in the manifold",
-                "none, with the regulator turned down",
-                "Turn the regulator down until its gauge shows 0, and begin again.",
-            )
+            found = f"{1e-5 * seen[-1].supply_pressure:.2f} bar absolute in the manifold"
+            action = "Turn the regulator down until its gauge shows 0, and begin again."
+            raise _refused(found, "none, with the regulator turned down", action)
     return seen
 
 
@@ -189,7 +138,7 @@ def _allowed(pressure: float) -> float:
 
 
 def _beside_the_gauge(
-    machine: WatchedMachine, hands: InputHands, gauge: Callable[[], float], c: Configuration
+    machine: SimulatedMachine | LiveRobot, hands: OperatorIO, gauge: Callable[[], float], c: Configuration
 ) -> tuple[float, list[InputFinding]]:
     """Return the largest deviation of the supply's sensor from the gauge (Pa), and findings."""
     a, b, d = (actuator.valve.centre for actuator in c.plant.actuators)
@@ -202,17 +151,12 @@ def _beside_the_gauge(
         readings = machine.watch(on, None, inf, _FILLED, _FILLED)
         if not (readings.guard_closed and readings.guard_locked and readings.emergency_stop_clear):
             action = "Close the guard, release the emergency stop, and begin again."
-            raise Refused(
-                "check of the inputs", "the guard or the emergency stop", "closed, and clear", action
-            )
+            raise _refused("the guard or the emergency stop", "closed, and clear", action)
         over = gauge()
         if not over >= _MIN_SHARE * (pressure - atmosphere):
-            raise Refused(
-                "check of the inputs",
-                f"{1e-5 * over:.2f} bar on the gauge",
-                f"about {1e-5 * (pressure - atmosphere):.1f} bar",
-                "Open the air, turn the regulator up, and begin again.",
-            )
+            found = f"{1e-5 * over:.2f} bar on the gauge"
+            expected = f"about {1e-5 * (pressure - atmosphere):.1f} bar"
+            raise _refused(found, expected, "Open the air, turn the regulator up, and begin again.")
         shown = atmosphere + over
         off = readings.supply_pressure - shown
         if not abs(off) <= _allowed(shown):

@@ -1,4 +1,8 @@
-"""An actuator's air from traces: areas, dead volume, valve and leakage by least squares.
+"""Step 3: an actuator's air from traces: areas, dead volume, valve and leakage by least squares.
+
+Filling and decay at the stops give leakage, dead volumes, effective areas and the valves' flow. At a stop the
+volumes are dead volume plus area times way: both stops together give both. What closed chambers lose or gain
+says what leaks, and how they empty through the vents says how large they are.
 
 Air in a chamber of volume V obeys d(p^(1/n) V)/dt = q p^(1/n - 1), whether or not its joint moves, with q the
 flows through valve, seals and vents. Integrated over short windows this needs no derivative of a noisy
@@ -9,6 +13,7 @@ absolute scale of all the others, and of the volumes: their tolerance is part of
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from math import pi
 from typing import Any, NamedTuple
 
@@ -16,8 +21,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from bench.commissioning.machine.machine import Array, MotionTrace
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, RobotEstimate
+from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
+from bench.commissioning.machine.step import (
+    ACTUATOR_KEYS,
+    MOVING,
+    CommissioningStep,
+    MachineFault,
+    ParameterEstimate,
+    RobotEstimate,
+    Side,
+    StepResult,
+    Traces,
+    at_both_stops,
+    beyond,
+    centres,
+    openings,
+    run_slowly,
+)
+from drivers.base import JOINTS
 from drivers.base.compiled import compiled
 from sim.driver import joint_travel
 from sim.kinematics import right_arm_length
@@ -290,3 +311,113 @@ def robust_errors(jacobian: Array, residual: Array, clusters: NDArray[np.int64])
     sandwich = np.diag(normal @ score @ normal) * count / max(count - 1, 1)
     scatter = np.diag(normal) * _ALIKE * max(float(np.mean(seen**2)), 1e-4)
     return np.asarray(np.sqrt(np.maximum(sandwich, scatter)))
+
+
+_FILL, _COUNTER = 0.10, 0.05
+"""Openings beyond the edges: filling the chamber that presses the joint, and the other one."""
+_HELD = (2, 4)
+"""Segments in which all is shut."""
+_FULL, _HALF = 2.7e5, 1.8e5
+"""Pressures up to which the two are filled, Pa absolute."""
+_HOLD, _SHORT_HOLD, _DECAY = 2.5, 0.6, 1.6
+"""Durations of the holds and of the decay (s)."""
+MAX_LEAKAGE = 0.008
+"""Max leakage of a valve that is right, as a share of its full opening."""
+MAX_CROSS_LEAKAGE = 2e-10
+"""Max leakage past the seals of an actuator that is right, m3/(s Pa)."""
+
+
+def _estimate_leakage(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return the air of all actuators."""
+    values: list[ParameterEstimate] = []
+    notes: list[str] = []
+    if vents_stay_open(traces, known):
+        found = "chambers empty through them when they are commanded shut"
+        action = "A vent stays open: check its coil, cable and pilot air, then replace it."
+        raise MachineFault("vents", found, "chambers that hold their air", action)
+    for i, key in enumerate(ACTUATOR_KEYS):
+        sure = [name for name in ("valve.centre", "valve.dead_band") if f"{key}.{name}" in known.found]
+        fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i, sure)
+        _require_tight(i, fit)
+        for name, value, error, unit in zip(NAMES, fit.values, fit.error, UNITS, strict=True):
+            values.append(ParameterEstimate(f"{key}.{name}", float(value), float(error), unit))
+        notes.append(f"{JOINTS[i]}: pressures fit within {fit.residual:.0f} Pa")
+    return StepResult(tuple(values), tuple(notes))
+
+
+def vents_stay_open(traces: Traces, known: RobotEstimate) -> bool:
+    """Return whether the chambers of all joints, when closed, behave as with open vents in `traces`."""
+    for i, joint in enumerate(JOINTS):
+        errors = []
+        for vents in (0.0, known.plant.supply.vent_conductance):
+            total = 0.0
+            for side in ("lower", "upper"):
+                air = AirTrace(traces[f"{joint} {side}"], i, known.plant)
+                air.vent = np.full(len(air.vent), vents)
+                rows = air.windows()
+                held = rows[np.isin(air.segment[rows[:, 0]], _HELD)]
+                total += float(np.square(air.errors(nominal_values(known, i), held)).sum())
+            errors.append(total)
+        if errors[1] >= errors[0]:
+            return False
+    return True
+
+
+def _require_tight(joint: int, fit: AirFit) -> None:
+    leakage, cross = fit.values[NAMES.index("valve.leakage")], fit.values[NAMES.index("cross_leakage")]
+    if leakage > MAX_LEAKAGE:
+        raise MachineFault(
+            f"air of the {JOINTS[joint]}",
+            f"closed chambers leak {100 * leakage:.1f} % of the valve's full opening",
+            f"up to {100 * MAX_LEAKAGE:.1f} %",
+            f"Look for a leaking hose, fitting or valve at the {JOINTS[joint]}, or a vent that stays open.",
+        )
+    if cross > MAX_CROSS_LEAKAGE:
+        location, found = f"air of the {JOINTS[joint]}", f"{cross:.1e} m3/(s Pa) pass from chamber to chamber"
+        action = f"The piston's or vane's seals of the {JOINTS[joint]} are worn: replace them."
+        raise MachineFault(location, found, f"up to {MAX_CROSS_LEAKAGE:.1e} m3/(s Pa)", action)
+
+
+def _fill_and_decay(
+    machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side
+) -> MotionTrace:
+    """Return the trace of `joint` at its stop at `side`: filled, held, counter-filled, held, emptied."""
+    other: Side = "lower" if side == "upper" else "upper"
+    pressing, counter = (2 * joint, 2 * joint + 1) if side == "upper" else (2 * joint + 1, 2 * joint)
+
+    at = partial(openings, known, joint)
+    closed = at(centres(known)[joint])
+    machine.set_supply(MOVING)
+    return run_slowly(
+        machine,
+        known,
+        (
+            Segment(_DECAY, closed),
+            Segment(
+                6.0,
+                at(beyond(known, joint, side, _FILL)),
+                vents_shut=True,
+                until=Until("above", pressing, _FULL),
+            ),
+            Segment(_HOLD, closed, vents_shut=True),
+            Segment(
+                0.25,
+                at(beyond(known, joint, other, _COUNTER)),
+                vents_shut=True,
+                until=Until("above", counter, _HALF),
+            ),
+            Segment(_SHORT_HOLD, closed, vents_shut=True),
+            Segment(_DECAY + known.plant.supply.vent_delay, closed),
+        ),
+        f"{JOINTS[joint]} filled at its {side} stop",
+    )
+
+
+LEAKAGE = CommissioningStep(
+    "leakage",
+    "Leakage, dead volumes, effective areas, flow of the valves",
+    "chambers up to 2.7 bar absolute at a supply of 3 bar, joints at their stops",
+    partial(at_both_stops, trace=_fill_and_decay),
+    _estimate_leakage,
+)
+"""Step 3."""

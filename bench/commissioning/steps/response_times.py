@@ -9,19 +9,30 @@ dead time added: a loop that commands by its encoders waits for both.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.machine import (
+    Array,
+    CommissionedMachine,
+    MotionTrace,
+    Segment,
+    Until,
+    at_rows,
+)
 from bench.commissioning.machine.step import (
+    ACTUATOR_KEYS,
     FOLD_ORDER,
     MOVING,
     PRESSING,
+    CommissioningStep,
     MachineFault,
+    ParameterEstimate,
+    RobotEstimate,
     StepResult,
     Traces,
     beyond,
@@ -29,8 +40,7 @@ from bench.commissioning.machine.step import (
     fold,
     move_to_stop,
     openings,
-    require_within,
-    slow_bounds,
+    run_slowly,
 )
 from bench.commissioning.steps.pneumatic_identification import (
     AirTrace,
@@ -41,7 +51,7 @@ from bench.commissioning.steps.pneumatic_identification import (
     way_per_angle,
 )
 from bench.control.measured_plant import with_values
-from drivers.base import JOINTS, Triple
+from drivers.base import JOINTS
 from sim.driver import joint_travel
 
 _STEP, _PUSH = 0.15, 0.08
@@ -68,87 +78,79 @@ _PRESSURE_ERROR = 100.0
 """Standard error of a pressure (Pa)."""
 
 
-class ResponseTimes:
-    """Step 5."""
+def _measure(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
+    """Step each valve at its lower stop, then let each joint coast with closed valves."""
+    machine.vent()
+    fold(machine, known)
+    traces: dict[str, MotionTrace] = {}
+    for i, joint in enumerate(JOINTS):
+        machine.set_supply(MOVING)
+        doing = f"{joint} valve stepped at its stop"
+        traces[f"{joint} steps"] = run_slowly(machine, known, _pulses(known, i), doing)
+    for i, joint in enumerate(JOINTS):
+        for n, share in enumerate(_PUSHES):
+            machine.set_supply(PRESSING)
+            push = _push(known, i, share)
+            traces[f"{joint} coasting {n + 1}"] = run_slowly(machine, known, push, f"{joint} pushed")
+            move_to_stop(machine, known, i, "lower", FOLD_ORDER)
+    machine.vent()
+    return traces
 
-    name = "response"
-    title = "Frequency of the spools, latency of the encoders"
-    bounds_text = "steps of 0.15 for 60 ms at a stop; pushes over a third of the travel at 4.5 bar absolute"
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Step each valve at its lower stop, then let each joint coast with closed valves."""
-        machine.vent()
-        fold(machine, known)
-        bounds = slow_bounds(known.plant, 1.2 * PRESSING)
-        traces: dict[str, MotionTrace] = {}
-        for i, joint in enumerate(JOINTS):
-            machine.set_supply(MOVING)
-            trace = machine.run(_pulses(known, i), bounds)
-            require_within(trace, f"{joint} valve stepped at its stop")
-            traces[f"{joint} steps"] = trace
-        for i, joint in enumerate(JOINTS):
-            for n, share in enumerate(_PUSHES):
-                machine.set_supply(PRESSING)
-                trace = machine.run(_push(known, i, share), bounds)
-                require_within(trace, f"{joint} pushed")
-                traces[f"{joint} coasting {n + 1}"] = trace
-                move_to_stop(machine, known, i, "lower", FOLD_ORDER)
-        machine.vent()
-        return traces
-
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return the natural frequency of each spool, and the encoders' latency."""
-        values, notes, dead_times = [], [], []
-        for i, key in enumerate(ACTUATOR_KEYS):
-            (value, error), dead_time = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
-            dead_times.append(dead_time)
-            if value < _MIN_FREQUENCY:
-                raise MachineFault(
-                    f"{JOINTS[i]} valve",
-                    f"its spool follows with {value / (2 * np.pi):.0f} Hz only",
-                    f"at least {_MIN_FREQUENCY / (2 * np.pi):.0f} Hz",
-                    "The spool sticks: clean the valve, check the air's filter, or replace the valve.",
-                )
-            values.append(
-                ParameterEstimate(f"{key}.valve.natural_frequency", value, error, "rad/s", self.name)
+def _estimate(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return the natural frequency of each spool, and the encoders' latency."""
+    values, notes, dead_times = [], [], []
+    for i, key in enumerate(ACTUATOR_KEYS):
+        (value, error), dead_time = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
+        dead_times.append(dead_time)
+        if value < _MIN_FREQUENCY:
+            raise MachineFault(
+                f"{JOINTS[i]} valve",
+                f"its spool follows with {value / (2 * np.pi):.0f} Hz only",
+                f"at least {_MIN_FREQUENCY / (2 * np.pi):.0f} Hz",
+                "The spool sticks: clean the valve, check the air's filter, or replace the valve.",
             )
-        latencies = []
-        for i, joint in enumerate(JOINTS):
-            for name, trace in traces.items():
-                if name.startswith(f"{joint} coasting"):
-                    found = fit_latency(trace, known, i)
-                    if found is not None:
-                        _require_quick(joint, *found)
-                        latencies.append(found)
-                        notes.append(f"{name}: latency {1e3 * found[0]:.3f} ± {1e3 * found[1]:.3f} ms")
-        dead, dead_error = _weighted(np.array(dead_times))
-        notes.append(
-            f"dead time from a command to its pressure: {1e3 * dead:.3f} ± {1e3 * dead_error:.3f} ms"
-        )
-        if latencies:
-            value, error = _weighted(np.array(latencies))
-            value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _MIN_LATENCY_ERROR))
-            values.append(ParameterEstimate("encoders.latency", max(value, 0.0), error, "s", self.name))
-        else:
-            notes.append("no joint coasted: the encoders' latency stays a guess")
-        return StepResult(tuple(values), tuple(notes))
+        values.append(ParameterEstimate(f"{key}.valve.natural_frequency", value, error, "rad/s"))
+    latencies = []
+    for i, joint in enumerate(JOINTS):
+        for name, trace in traces.items():
+            if name.startswith(f"{joint} coasting"):
+                found = fit_latency(trace, known, i)
+                if found is not None:
+                    _require_quick(joint, *found)
+                    latencies.append(found)
+                    notes.append(f"{name}: latency {1e3 * found[0]:.3f} ± {1e3 * found[1]:.3f} ms")
+    dead, dead_error = _weighted(np.array(dead_times))
+    notes.append(f"dead time from a command to its pressure: {1e3 * dead:.3f} ± {1e3 * dead_error:.3f} ms")
+    if latencies:
+        value, error = _weighted(np.array(latencies))
+        value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _MIN_LATENCY_ERROR))
+        values.append(ParameterEstimate("encoders.latency", max(value, 0.0), error, "s"))
+    else:
+        notes.append("no joint coasted: the encoders' latency stays a guess")
+    return StepResult(tuple(values), tuple(notes))
+
+
+RESPONSE = CommissioningStep(
+    "response",
+    "Frequency of the spools, latency of the encoders",
+    "steps of 0.15 for 60 ms at a stop; pushes over a third of the travel at 4.5 bar absolute",
+    _measure,
+    _estimate,
+)
+"""Step 5."""
 
 
 def _require_quick(joint: str, latency: float, error: float) -> None:
     """Raise MachineFault if the encoder of `joint` lags by more than an encoder may."""
     if latency - 3.0 * error > _MAX_LATENCY:
-        raise MachineFault(
-            f"{joint} encoder",
-            f"{1e3 * latency:.1f} ms later than the pressures",
-            f"at most {1e3 * _MAX_LATENCY:.0f} ms",
-            "Check the encoder's cycle time and filters on the bus.",
-        )
+        found = f"{1e3 * latency:.1f} ms later than the pressures"
+        action = "Check the encoder's cycle time and filters on the bus."
+        raise MachineFault(f"{joint} encoder", found, f"at most {1e3 * _MAX_LATENCY:.0f} ms", action)
 
 
 def _pulses(known: RobotEstimate, joint: int) -> tuple[Segment, ...]:
-    def at(command: float) -> Triple:
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
-
+    at = partial(openings, known, joint)
     closed, opened = at(centres(known)[joint]), at(beyond(known, joint, "lower", _STEP))
     rest = Segment(_BETWEEN, closed)
     return (rest, *((Segment(_OPEN, opened), rest) * _PULSES))
@@ -157,9 +159,7 @@ def _pulses(known: RobotEstimate, joint: int) -> tuple[Segment, ...]:
 def _push(known: RobotEstimate, joint: int, share: float) -> tuple[Segment, ...]:
     travel = np.ptp(np.array(joint_travel(known.plant)), axis=0)[joint]
 
-    def at(command: float) -> Triple:
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
-
+    at = partial(openings, known, joint)
     closed = at(centres(known)[joint])
     return (
         Segment(1.0, closed),
@@ -216,12 +216,11 @@ def _refined(trace: MotionTrace, tick: float) -> MotionTrace:
     """Return `trace`, of one row a `tick` (s), with as many rows a tick as a spool's motion needs."""
     at = np.arange((len(trace.time) - 1) * _SUBSTEPS + 1) / _SUBSTEPS
     row, number = at.astype(np.int64), np.arange(len(trace.time))
-    pressure = np.stack([np.interp(at, number, column) for column in trace.pressure.T], axis=1)
     return replace(
         trace,
         time=trace.time[0] + at * tick,
         count=trace.count[row],
-        pressure=pressure,
+        pressure=at_rows(trace.pressure, at),
         supply=np.interp(at, number, trace.supply),
         valve=trace.valve[row],
         vents_shut=trace.vents_shut[row],

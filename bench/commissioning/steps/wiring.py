@@ -14,20 +14,24 @@ from which it does is the edge.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from math import pi
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.calibration.calibration import zero_counts
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import (
+    ACTUATOR_KEYS,
     FOLD_ORDER,
     MOVING,
-    PRESSING,
+    SIDES,
+    CommissioningStep,
     MachineFault,
+    ParameterEstimate,
+    RobotEstimate,
     Side,
     StepResult,
     StopMove,
@@ -38,8 +42,7 @@ from bench.commissioning.machine.step import (
     fold,
     move_to_stop,
     openings,
-    require_within,
-    slow_bounds,
+    run_slowly,
     swapped_encoders,
 )
 from bench.commissioning.steps.pneumatic_identification import NAMES, fit_air, way_per_angle
@@ -82,47 +85,45 @@ class ValveFeet(NamedTuple):
     """Command for chamber A."""
 
 
-class Wiring:
-    """Step 1."""
+def _measure_wiring(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
+    """Ramp each valve, then move each joint from stop to stop."""
+    _require_sensors(machine.vent(), known.plant)
+    machine.set_supply(FAINT)
+    traces: dict[str, MotionTrace] = {}
+    for i in FOLD_ORDER:
+        doing = f"{JOINTS[i]} valve a little open"
+        traces[f"{JOINTS[i]} ramp"] = run_slowly(machine, known, _ramp(i), doing, 2.0 * FAINT)
+    machine.vent()
+    known = RobotEstimate(known.plant)
+    known.add(_valve_values(traces, known.plant))
+    moves = fold(machine, known)
+    for i in FOLD_ORDER[::-1]:
+        for side, name in zip(SIDES, ("up", "back"), strict=True):
+            moves[f"{JOINTS[i]} {name}"] = move_to_stop(machine, known, i, side, FOLD_ORDER)
+        _require_travel(i, moves[f"{JOINTS[i]} up"], known.plant)
+    machine.vent()
+    for move, both in moves.items():
+        traces[move], traces[f"{move}, pressed"] = both
+    return traces
 
-    name = "wiring"
-    title = "Wiring, signs, and scale of the encoders"
-    bounds_text = (
-        f"ramps at {1e-5 * FAINT:.1f} bar with open vents; moves at 3 bar, pressing at 4.5 bar absolute; "
-        "speeds at which no cushion takes more than half its rated energy"
-    )
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Ramp each valve, then move each joint from stop to stop."""
-        _require_sensors(machine.vent(), known.plant)
-        machine.set_supply(FAINT)
-        bounds = slow_bounds(known.plant, 2.0 * FAINT)
-        traces: dict[str, MotionTrace] = {}
-        for i in FOLD_ORDER:
-            trace = machine.run(_ramp(i), bounds)
-            require_within(trace, f"{JOINTS[i]} valve a little open")
-            traces[f"{JOINTS[i]} ramp"] = trace
-        machine.vent()
-        known = RobotEstimate(known.plant)
-        known.add(_valve_values(traces, known.plant))
-        moves = fold(machine, known)
-        for i in FOLD_ORDER[::-1]:
-            for side, name in (("upper", "up"), ("lower", "back")):
-                moves[f"{JOINTS[i]} {name}"] = move_to_stop(
-                    machine, known, i, "upper" if side == "upper" else "lower", FOLD_ORDER
-                )
-            _require_travel(i, moves[f"{JOINTS[i]} up"], known.plant)
-        machine.vent()
-        for move, both in moves.items():
-            traces[move], traces[f"{move}, pressed"] = both
-        return traces
+def _estimate_wiring(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return the valves' rough centres and bands, and the encoders' signs and zeros."""
+    plant = known.plant
+    values = _valve_values(traces, plant)
+    encoders, notes = _encoder_values(traces, plant)
+    return StepResult((*values, *encoders), tuple(notes))
 
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return the valves' rough centres and bands, and the encoders' signs and zeros."""
-        plant = known.plant
-        values = _valve_values(traces, plant)
-        encoders, notes = _encoder_values(traces, plant)
-        return StepResult((*values, *encoders), tuple(notes))
+
+WIRING = CommissioningStep(
+    "wiring",
+    "Wiring, signs, and scale of the encoders",
+    f"ramps at {1e-5 * FAINT:.1f} bar with open vents; moves at 3 bar, pressing at 4.5 bar absolute; "
+    "speeds at which no cushion takes more than half its rated energy",
+    _measure_wiring,
+    _estimate_wiring,
+)
+"""Step 1."""
 
 
 def _ramp(valve: int) -> tuple[Segment, ...]:
@@ -150,14 +151,12 @@ def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[ParameterEsti
         feet = valve_feet(traces[f"{JOINTS[i]} ramp"], i)
         centre, band = (feet.lower + feet.upper) / 2, max((feet.upper - feet.lower) / 2, 0.0)
         if abs(centre) > MAX_CENTRE or band > MAX_BAND:
-            raise MachineFault(
-                f"{JOINTS[i]} valve",
-                f"centre at {centre:+.3f}, overlap {band:.3f}",
-                f"a centre within {MAX_CENTRE} and an overlap up to {MAX_BAND}",
-                "Adjust the valve's centre by its maker's manual, or replace the valve.",
-            )
-        values.append(ParameterEstimate(f"{key}.valve.centre", centre, 0.004, "", Wiring.name))
-        values.append(ParameterEstimate(f"{key}.valve.dead_band", band, 0.01, "", Wiring.name))
+            location = f"{JOINTS[i]} valve"
+            expected = f"a centre within {MAX_CENTRE} and an overlap up to {MAX_BAND}"
+            action = "Adjust the valve's centre by its maker's manual, or replace the valve."
+            raise MachineFault(location, f"centre at {centre:+.3f}, overlap {band:.3f}", expected, action)
+        values.append(ParameterEstimate(f"{key}.valve.centre", centre, 0.004))
+        values.append(ParameterEstimate(f"{key}.valve.dead_band", band, 0.01))
     return tuple(values)
 
 
@@ -189,12 +188,10 @@ def _require_sensors(trace: MotionTrace, plant: PlantParameters) -> None:
     off = trace.pressure[-1] - plant.supply.atmosphere
     worst = int(np.argmax(np.abs(off)))
     if abs(off[worst]) > _SENSOR:
-        raise MachineFault(
-            f"{CHAMBERS[worst]} sensor",
-            f"{1e-5 * trace.pressure[-1, worst]:.2f} bar with the chamber vented",
-            f"{1e-5 * plant.supply.atmosphere:.2f} bar",
-            "Set the sensor's zero, or replace it; or correct plant.supply.atmosphere.",
-        )
+        location = f"{CHAMBERS[worst]} sensor"
+        found = f"{1e-5 * trace.pressure[-1, worst]:.2f} bar with the chamber vented"
+        action = "Set the sensor's zero, or replace it; or correct plant.supply.atmosphere."
+        raise MachineFault(location, found, f"{1e-5 * plant.supply.atmosphere:.2f} bar", action)
 
 
 def _require_vents(traces: Traces, plant: PlantParameters) -> None:
@@ -202,12 +199,9 @@ def _require_vents(traces: Traces, plant: PlantParameters) -> None:
     for i, joint in enumerate(JOINTS):
         left = traces[f"{joint} ramp"].pressure[-1, 2 * i + 1] - plant.supply.atmosphere
         if left > _LEFT:
-            raise MachineFault(
-                "vents",
-                f"{1e-5 * left:.2f} bar gauge left in {CHAMBERS[2 * i + 1]} after its valve has shut",
-                "chambers that empty when the vents are not energised",
-                "The vents stay shut, or a throttle is blocked: check both. Mind the air inside.",
-            )
+            found = f"{1e-5 * left:.2f} bar gauge left in {CHAMBERS[2 * i + 1]} after its valve has shut"
+            action = "The vents stay shut, or a throttle is blocked: check both. Mind the air inside."
+            raise MachineFault("vents", found, "chambers that empty when the vents are not energised", action)
 
 
 def _require_supply(traces: Traces, plant: PlantParameters) -> None:
@@ -241,12 +235,9 @@ def _require_connected(responses: Mapping[int, Array], traces: Traces) -> None:
         others = [j for j in range(3) if j != i and np.abs(answer[2 * j : 2 * j + 2]).min() > _ANSWER]
         if others:
             j = others[0]
-            raise MachineFault(
-                f"{JOINTS[i]} valve",
-                f"fills the chambers of the {JOINTS[j]}",
-                f"those of the {JOINTS[i]}",
-                f"The valves of {JOINTS[i]} and {JOINTS[j]} are swapped: exchange their cables or hoses.",
-            )
+            found = f"fills the chambers of the {JOINTS[j]}"
+            action = f"The valves of {JOINTS[i]} and {JOINTS[j]} are swapped: exchange their cables or hoses."
+            raise MachineFault(f"{JOINTS[i]} valve", found, f"those of the {JOINTS[i]}", action)
         raise _unconnected(i, a, b, traces[f"{JOINTS[i]} ramp"])
 
 
@@ -263,19 +254,14 @@ def _unconnected(i: int, a: float, b: float, trace: MotionTrace) -> MachineFault
         )
     if a > _ANSWER or b > _ANSWER:
         chamber = CHAMBERS[2 * i + (1 if a > _ANSWER else 0)]
-        return MachineFault(
-            f"{JOINTS[i]} valve",
-            f"{chamber} does not fill",
-            "both chambers fill, each to its side",
-            f"The hose of {chamber} is leaking or off, or its sensor does not follow: check both.",
-        )
+        found = f"{chamber} does not fill"
+        action = f"The hose of {chamber} is leaking or off, or its sensor does not follow: check both."
+        return MachineFault(f"{JOINTS[i]} valve", found, "both chambers fill, each to its side", action)
     highest = float(trace.pressure[:, 2 * i : 2 * i + 2].max())
-    return MachineFault(
-        f"{JOINTS[i]} valve",
-        f"its chambers do not follow its openings (up to {1e-5 * highest:.2f} bar)",
-        "chamber A fills with a positive opening, B with a negative one",
-        "Its spool is stuck or gets no signal: check plug and cable, then clean or replace the valve.",
-    )
+    found = f"its chambers do not follow its openings (up to {1e-5 * highest:.2f} bar)"
+    expected = "chamber A fills with a positive opening, B with a negative one"
+    action = "Its spool is stuck or gets no signal: check plug and cable, then clean or replace the valve."
+    return MachineFault(f"{JOINTS[i]} valve", found, expected, action)
 
 
 def stop_depths(trace: MotionTrace, joint: int, side: str, plant: PlantParameters) -> tuple[float, float]:
@@ -304,12 +290,9 @@ def _require_travel(joint: int, move: StopMove, plant: PlantParameters) -> None:
     if way[joint] < 0.3 * travel and others:
         raise swapped_encoders(joint, others[0], way)
     if way[joint] < 0.3 * travel:
-        raise MachineFault(
-            f"{JOINTS[joint]} encoder",
-            f"moves by {way[joint]:.2f} rad between the stops",
-            f"{travel:.2f} rad",
-            "The joint is blocked, or its encoder's coupling is loose, or the encoder is stuck.",
-        )
+        found = f"moves by {way[joint]:.2f} rad between the stops"
+        action = "The joint is blocked, or its encoder's coupling is loose, or the encoder is stuck."
+        raise MachineFault(f"{JOINTS[joint]} encoder", found, f"{travel:.2f} rad", action)
 
 
 def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[ParameterEstimate], list[str]]:
@@ -344,9 +327,9 @@ def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[Parame
     zeros = _zeros(ends, depths, signs, lower, upper, counts)
     values = []
     for i in range(3):
-        values.append(ParameterEstimate(f"encoders.sign.{i}", signs[i], 0.0, "", Wiring.name))
+        values.append(ParameterEstimate(f"encoders.sign.{i}", signs[i], 0.0))
         error = errors[i] / per_count
-        values.append(ParameterEstimate(f"encoders.zero_count.{i}", zeros[i], error, "counts", Wiring.name))
+        values.append(ParameterEstimate(f"encoders.zero_count.{i}", zeros[i], error, "counts"))
     return values, notes
 
 
@@ -357,15 +340,10 @@ def _zeros(
     ends: NDArray[np.int64], depths: Array, signs: list[int], lower: Array, upper: Array, counts: int
 ) -> Triple:
     """Return the counts at angle zero: the mean of what both stops say."""
-    low = np.array(zero_counts(_three(ends[:, 0]), _three(lower - depths[:, 0]), _three(signs), counts))
-    high = np.array(zero_counts(_three(ends[:, 1]), _three(upper + depths[:, 1]), _three(signs), counts))
+    low = np.array(zero_counts(ends[:, 0], lower - depths[:, 0], signs, counts))
+    high = np.array(zero_counts(ends[:, 1], upper + depths[:, 1], signs, counts))
     between = (high - low + counts / 2) % counts - counts / 2
     a, b, c = ((low + between / 2) % counts).tolist()
-    return a, b, c
-
-
-def _three(values: Any) -> tuple[Any, Any, Any]:
-    a, b, c = np.asarray(values).tolist()
     return a, b, c
 
 
@@ -406,53 +384,48 @@ _EDGE_RAMP, _REST = 1.6, 0.8
 """Durations of the ramp over an edge and of the rest after it (s)."""
 
 
-class ValveEdges:
-    """Step 2."""
-
-    name = "valves"
-    title = "Centres and dead bands of the valves"
-    bounds_text = "openings up to 0.15 at 3 bar absolute with open vents, joints at their stops"
-
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Ramp each valve towards either stop, the joint standing there."""
-        return at_both_stops(machine, known, _edge_ramp)
-
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return centre and dead band of each valve."""
-        values: list[ParameterEstimate] = []
-        for i, key in enumerate(ACTUATOR_KEYS):
-            fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i)
-            for name, most in (("valve.centre", MAX_CENTRE), ("valve.dead_band", MAX_BAND)):
-                k = NAMES.index(name)
-                value, error = float(fit.values[k]), float(fit.error[k])
-                if abs(value) > most:
-                    raise MachineFault(
-                        f"{JOINTS[i]} valve",
-                        f"{name.partition('.')[2].replace('_', ' ')} {value:+.3f}",
-                        f"at most {most}",
-                        "Adjust the valve's centre by its maker's manual, or replace the valve.",
-                    )
-                values.append(ParameterEstimate(f"{key}.{name}", value, error, "", self.name))
-        return StepResult(tuple(values))
+def _estimate_valves(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return centre and dead band of each valve."""
+    values: list[ParameterEstimate] = []
+    for i, key in enumerate(ACTUATOR_KEYS):
+        fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i)
+        for name, most in (("valve.centre", MAX_CENTRE), ("valve.dead_band", MAX_BAND)):
+            k = NAMES.index(name)
+            value, error = float(fit.values[k]), float(fit.error[k])
+            if abs(value) > most:
+                found = f"{name.partition('.')[2].replace('_', ' ')} {value:+.3f}"
+                action = "Adjust the valve's centre by its maker's manual, or replace the valve."
+                raise MachineFault(f"{JOINTS[i]} valve", found, f"at most {most}", action)
+            values.append(ParameterEstimate(f"{key}.{name}", value, error))
+    return StepResult(tuple(values))
 
 
 def _edge_ramp(machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side) -> MotionTrace:
     """Return the ramp of `joint`'s valve towards `side`, at whose stop it stands."""
 
     def at(opening: float) -> Triple:
-        valve = beyond(known, joint, side, opening)
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: valve})
+        return openings(known, joint, beyond(known, joint, side, opening))
 
-    rest = openings(known, FOLD_ORDER, **{JOINTS[joint]: centres(known)[joint]})
+    rest = openings(known, joint, centres(known)[joint])
     machine.set_supply(MOVING)
-    trace = machine.run(
+    return run_slowly(
+        machine,
+        known,
         (
             Segment(_REST, at(-_BELOW)),
             Segment(_EDGE_RAMP, at(-_BELOW), at(_ABOVE)),
             Segment(_EDGE_RAMP, at(_ABOVE), at(-_BELOW)),
             Segment(_REST, rest),
         ),
-        slow_bounds(known.plant, 1.2 * PRESSING),
+        f"{JOINTS[joint]} valve ramped at its {side} stop",
     )
-    require_within(trace, f"{JOINTS[joint]} valve ramped at its {side} stop")
-    return trace
+
+
+VALVES = CommissioningStep(
+    "valves",
+    "Centres and dead bands of the valves",
+    "openings up to 0.15 at 3 bar absolute with open vents, joints at their stops",
+    partial(at_both_stops, trace=_edge_ramp),
+    _estimate_valves,
+)
+"""Step 2."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS
+from bench.commissioning.machine.step import ACTUATOR_KEYS
 from bench.commissioning.swings.short_predictions import RecordedSwing
 from bench.control.measured_plant import value_at, with_values
 from drivers.base import CHAMBERS, JOINTS
@@ -21,6 +21,9 @@ from sim.plant import PlantParameters
 
 Changed = Callable[[RecordedSwing, PlantParameters, float], Array]
 """Returns the errors of the windows with the cause at a value."""
+
+
+_TIMES = "{:.2f} times"
 
 
 class SwingCause(NamedTuple):
@@ -32,9 +35,10 @@ class SwingCause(NamedTuple):
     errors: Changed
     values: tuple[float, ...]
     """Values to begin the search with, in rising order; between the first and the last it stays."""
-    words: Callable[[float], str]
-    """Says the value."""
+    form: str
+    """Format of the value times `scale`."""
     action: str
+    scale: float = 1.0
 
 
 def swing_causes(recorded: RecordedSwing) -> list[SwingCause]:
@@ -102,11 +106,17 @@ def _of_valve(joint: int, recorded: RecordedSwing) -> list[SwingCause]:
     instants = tuple(np.linspace(0.0, len(recorded) * recorded.tick, 25).tolist())
     return [
         _factor(valve, weak, (f"{key}.valve.conductance",), (0.15, 0.4, 0.7, 0.85, 1.3), clear_way),
-        SwingCause(valve, weak, _opening(joint), (0.2, 0.5, 0.8, 1.2), _times, clear_way),
+        SwingCause(valve, weak, _commanded(joint, _farther), (0.2, 0.5, 0.8, 1.2), _TIMES, clear_way),
         SwingCause(
-            valve, sticks, _lagging(joint), (0.0, 0.003, 0.01, 0.03), _milliseconds("later by"), spool
+            valve,
+            sticks,
+            _commanded(joint, _lagging),
+            (0.0, 0.003, 0.01, 0.03),
+            "later by {:.0f} ms",
+            spool,
+            1e3,
         ),
-        SwingCause(valve, sticks, _stuck(joint), instants, _milliseconds("stuck from"), spool),
+        SwingCause(valve, sticks, _commanded(joint, _stuck), instants, "stuck from {:.0f} ms", spool, 1e3),
         _added(
             valve,
             "its centre moved",
@@ -123,32 +133,21 @@ def _of_sensors(joint: int) -> list[SwingCause]:
     fasten = f"Fasten the encoder of the {name} on its shaft, then commission again: its zero is another."
     steps = (-0.4, -0.1, -0.03, 0.03, 0.1, 0.4)
     return [
-        SwingCause(f"{name} encoder", slips, _slipping(joint), (0.6, 0.85, 1.15, 1.4), _times, fasten),
-        SwingCause(f"{name} encoder", slips, _slipped(joint), steps, _radians, fasten),
+        SwingCause(f"{name} encoder", slips, _slipping(joint), (0.6, 0.85, 1.15, 1.4), _TIMES, fasten),
+        SwingCause(f"{name} encoder", slips, _slipped(joint), steps, "{:+.3f} rad", fasten),
         *(
             SwingCause(
                 f"{CHAMBERS[k]} sensor",
                 "it reads another pressure",
                 _misread(k),
                 (-1e5, -2e4, 2e4, 1e5),
-                lambda value: f"{1e-5 * value:+.2f} bar",
+                "{:+.2f} bar",
                 f"Check the sensor of {CHAMBERS[k]} and its cable against a gauge.",
+                1e-5,
             )
             for k in (2 * joint, 2 * joint + 1)
         ),
     ]
-
-
-def _times(value: float) -> str:
-    return f"{value:.2f} times"
-
-
-def _radians(value: float) -> str:
-    return f"{value:+.3f} rad"
-
-
-def _milliseconds(word: str) -> Callable[[float], str]:
-    return lambda value: f"{word} {1e3 * value:.0f} ms"
 
 
 def _factor(
@@ -157,36 +156,35 @@ def _factor(
     def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
         return recorded.errors(with_values(plant, {key: value * float(value_at(plant, key)) for key in keys}))
 
-    return SwingCause(location, what, errors, values, _times, action)
+    return SwingCause(location, what, errors, values, _TIMES, action)
 
 
 def _added(location: str, what: str, key: str, values: tuple[float, ...], action: str) -> SwingCause:
     def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
         return recorded.errors(with_values(plant, {key: value + float(value_at(plant, key))}))
 
-    return SwingCause(location, what, errors, values, lambda value: f"{value:+.2g}", action)
+    return SwingCause(location, what, errors, values, "{:+.2g}", action)
 
 
-def _opening(joint: int) -> Changed:
+def _commanded(joint: int, change: Callable[[Array, float, float], Array]) -> Changed:
+    """Return the errors if the spool of `joint` is where `change` of commands (n,), value and tick says."""
+
+    def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
+        valve = recorded.valve.copy()
+        valve[:, joint] = change(valve[:, joint], value, recorded.tick)
+        return recorded.errors(plant, valve=valve)
+
+    return errors
+
+
+def _farther(command: Array, value: float, _: float) -> Array:
     """The valve opens `value` times as far."""
-
-    def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
-        valve = recorded.valve.copy()
-        valve[:, joint] *= value
-        return recorded.errors(plant, valve=valve)
-
-    return errors
+    return np.asarray(command * value)
 
 
-def _lagging(joint: int) -> Changed:
+def _lagging(command: Array, value: float, tick: float) -> Array:
     """The spool follows with a time constant of `value` s."""
-
-    def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
-        valve = recorded.valve.copy()
-        valve[:, joint] = _followed(valve[:, joint], recorded.tick / (value + recorded.tick))
-        return recorded.errors(plant, valve=valve)
-
-    return errors
+    return np.asarray(_followed(command, tick / (value + tick)))
 
 
 @compiled
@@ -198,16 +196,11 @@ def _followed(command: Array, share: float) -> Array:
     return out
 
 
-def _stuck(joint: int) -> Changed:
+def _stuck(command: Array, value: float, tick: float) -> Array:
     """The spool stays where it is from `value` s on."""
-
-    def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
-        valve = recorded.valve.copy()
-        row = min(max(round(value / recorded.tick), 0), len(valve) - 1)
-        valve[row:, joint] = valve[row, joint]
-        return recorded.errors(plant, valve=valve)
-
-    return errors
+    row = min(max(round(value / tick), 0), len(command) - 1)
+    command[row:] = command[row]
+    return command
 
 
 def _slipping(joint: int) -> Changed:
@@ -225,9 +218,8 @@ def _slipped(joint: int) -> Changed:
     """The encoder slips by `value` rad at once, where the joint's angle is least as predicted."""
 
     def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
-        row = recorded.jump(joint)
         angle = recorded.raw_angle.copy()
-        angle[row:, joint] -= value
+        angle[recorded.jump(joint) :, joint] -= value
         return recorded.errors(plant, angle)
 
     return errors
@@ -235,8 +227,4 @@ def _slipped(joint: int) -> Changed:
 
 def _misread(chamber: int) -> Changed:
     """The sensor reads `value` Pa too much."""
-
-    def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
-        return recorded.with_pressure(chamber, -value).errors(plant)
-
-    return errors
+    return lambda recorded, plant, value: recorded.with_pressure(chamber, -value).errors(plant)

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.base.lifecycle import Phase
-from bench.commissioning.machine.step import LEARNED_FILE, StepResult, SwungRobot
+from bench.commissioning.machine.machine import at_rows
+from bench.commissioning.machine.step import LEARNED_FILE, StepResult, SwingingStep, SwungRobot
 from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
 from bench.control.residual_thresholds import limits_path, save_limits
@@ -128,7 +128,7 @@ def slowed(profile: Profile, share: float, configuration: Configuration) -> Prof
     begin, rows = profile.begins[1], len(profile.angle)
     stretched = begin + round((rows - 1 - begin) / share) + 1
     at = np.concatenate([np.arange(begin), begin + share * np.arange(stretched - begin)])
-    angle = _at_rows(profile.angle, at)
+    angle = at_rows(profile.angle, at)
     velocity = np.gradient(angle, profile.period, axis=0)
     velocity[:begin] = 0.0
     gain = gains_along(pid_record(c.control, c.estimator, c.plant), angle)[:, MOVE]
@@ -151,11 +151,6 @@ def slowed(profile: Profile, share: float, configuration: Configuration) -> Prof
             limits={},
         )
     )
-
-
-def _at_rows(table: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values of `table` (n, 3) at fractional `rows` (k,), (k, 3)."""
-    return np.column_stack([np.interp(rows, np.arange(len(table)), column) for column in table.T])
 
 
 _ROOM = 1.5
@@ -204,22 +199,23 @@ def make_healthy_limits(
     return known.for_profile(profile, file)
 
 
-class HealthyLimits:
-    """Limits of the check that compares the robot with its model."""
+def _healthy_limits(
+    robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+) -> StepResult:
+    """Make the limits of the learned profile in `folder`, and store them next to it.
 
-    name, title = "limits", "Limits of the model-based check"
-    bounds_text = "nothing moves: computed from simulated healthy swings"
+    Raises:
+        Refused: robots without a fault are stopped by the envelope.
+    """
+    file = folder / LEARNED_FILE
+    make_healthy_limits(known, load_profile(file), file, progress)
+    return StepResult((), (f"limits from {DRAWS} robots around the measured one, {DRAWS // 2} to learn on",))
 
-    def swing(
-        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
-    ) -> StepResult:
-        """Make the limits of the learned profile in `folder`, and store them next to it.
 
-        Raises:
-            Refused: robots without a fault are stopped by the envelope.
-        """
-        file = folder / LEARNED_FILE
-        make_healthy_limits(known, load_profile(file), file, progress)
-        return StepResult(
-            (), (f"limits from {DRAWS} robots around the measured one, {DRAWS // 2} to learn on",)
-        )
+LIMITS = SwingingStep(
+    "limits",
+    "Limits of the model-based check",
+    "nothing moves: computed from simulated healthy swings",
+    _healthy_limits,
+)
+"""Limits of the check that compares the robot with its model."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from bench.commissioning.machine.machine import Array
+from bench.commissioning.machine.machine import Array, at_rows
 from bench.commissioning.steps.pneumatic_identification import count_angles
 from drivers.base.compiled import compiled, new_record
 from drivers.base.records import COMMAND
@@ -74,9 +74,7 @@ class RecordedSwing:
         at = np.arange(len(raw_angle)) + latency / self.tick
         smooth = savgol_filter(raw_angle, _SMOOTH, _ORDER, axis=0)
         speed = savgol_filter(raw_angle, _SMOOTH, _ORDER, deriv=1, delta=self.tick, axis=0)
-        rows = np.arange(len(raw_angle))
-        angle, fast = (np.column_stack([np.interp(at, rows, x) for x in y.T]) for y in (smooth, speed))
-        return angle, fast
+        return at_rows(smooth, at), at_rows(speed, at)
 
     def jump(self, joint: int) -> int:
         """Return the row at which the reading of `joint` changes least evenly, contacts aside."""

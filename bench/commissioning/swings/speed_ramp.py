@@ -29,6 +29,7 @@ from bench.commissioning.machine.step import (
     PredictionFails,
     PredictionStopped,
     StepResult,
+    SwingingStep,
     SwingSeries,
     SwingStopped,
     SwungRobot,
@@ -44,8 +45,7 @@ from bench.config import Configuration
 from bench.control.law.feed_forward import FeedForward
 from bench.design.designer import DesignFailed
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, strike_from_mark
-from bench.learning.ilc import LearningSettings
-from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
+from bench.learning.learn import LearningProblem, ObservedSwing, learn, prepare
 from bench.simulation.loads import Loads
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from bench.simulation.series import Bench, Series, SeriesSwing
@@ -92,52 +92,49 @@ class SwingDeviation(NamedTuple):
     """Speed of each joint while it brakes, measured and predicted, rad/s (2, 3)."""
 
 
-class RisingSwings:
-    """Swings of rising speed."""
+def rising_swings(
+    robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+) -> StepResult:
+    """Design the swings for the robot as `known`, make them, and store the fastest in `folder`.
 
-    name, title = "swings", "Swings of 40, 60, 80 and 100 % of the speed"
-    bounds_text = (
-        "each designed for the robot as measured, within its shock absorbers if the ball is missed or "
-        "communication is lost; the next one only if the speed differed from its prediction by at most "
-        f"{100 * _MAX_SPEED_ERROR:g} % of the full one"
-    )
+    Raises:
+        MachineFault: no swing can be designed, or the robot does not swing as predicted.
+        Refused: it does not reach its address.
+        BenchError: the package casadi is not installed.
+    """
+    try:
+        fastest = fastest_swing(known, lambda speed: progress(f"designing a swing of {speed}"))
+        highest = RESERVE * fastest.speed
+        progress(f"designing a swing of {highest:.1f} m/s")
+        full = design_at(known, highest, "commissioned", fastest.profile)
+        next_fastest = design_at(known, DESIGNED_SHARES[0] * highest, "commissioned-slower", full)
+    except DesignFailed as failure:
+        action = "Check supply and valves: the measured robot is too weak or too slow."
+        raise MachineFault("swing", str(failure), "a swing that this robot can do", action) from None
+    notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
+    for share in SLOW_SHARES:
+        progress(f"swing of {100 * share:.0f} %")
+        notes += swung_slowly(robot, known, full, share, highest, folder)
+    for share, designed in zip(DESIGNED_SHARES, (next_fastest, full), strict=True):
+        limited = with_following_limits(known, designed)
+        if designed is full:  # before the club comes at its full speed
+            limited = make_healthy_limits(limited, full, folder / SWING_FILE, progress)
+        progress(f"swing of {100 * share:.0f} %")
+        bench = bench_of(limited, designed)._replace(as_known=designed is full)
+        notes.append(_swung(robot, bench, share, folder))
+    save_profile(folder / SWING_FILE, full)
+    return StepResult((), tuple(notes))
 
-    def swing(
-        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
-    ) -> StepResult:
-        """Design the swings for the robot as `known`, make them, and store the fastest in `folder`.
 
-        Raises:
-            MachineFault: no swing can be designed, or the robot does not swing as predicted.
-            Refused: it does not reach its address.
-            BenchError: the package casadi is not installed.
-        """
-        try:
-            fastest = fastest_swing(known, lambda speed: progress(f"designing a swing of {speed}"))
-            highest = RESERVE * fastest.speed
-            progress(f"designing a swing of {highest:.1f} m/s")
-            full = design_at(known, highest, "commissioned", fastest.profile)
-            next_fastest = design_at(known, DESIGNED_SHARES[0] * highest, "commissioned-slower", full)
-        except DesignFailed as failure:
-            raise MachineFault(
-                "swing",
-                str(failure),
-                "a swing that this robot can do",
-                "Check supply and valves: the measured robot is too weak or too slow.",
-            ) from None
-        notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
-        for share in SLOW_SHARES:
-            progress(f"swing of {100 * share:.0f} %")
-            notes += swung_slowly(robot, known, full, share, highest, folder)
-        for share, designed in zip(DESIGNED_SHARES, (next_fastest, full), strict=True):
-            limited = with_following_limits(known, designed)
-            if designed is full:  # before the club comes at its full speed
-                limited = make_healthy_limits(limited, full, folder / SWING_FILE, progress)
-            progress(f"swing of {100 * share:.0f} %")
-            bench = bench_of(limited, designed)._replace(as_known=designed is full)
-            notes.append(_swung(robot, bench, share, folder))
-        save_profile(folder / SWING_FILE, full)
-        return StepResult((), tuple(notes))
+SWINGS = SwingingStep(
+    "swings",
+    "Swings of 40, 60, 80 and 100 % of the speed",
+    "each designed for the robot as measured, within its shock absorbers if the ball is missed or "
+    "communication is lost; the next one only if the speed differed from its prediction by at most "
+    f"{100 * _MAX_SPEED_ERROR:g} % of the full one",
+    rising_swings,
+)
+"""Swings of rising speed."""
 
 
 def swung_slowly(
@@ -218,12 +215,9 @@ def slow_swing(
             return SlowSwing(tried, bench_of(with_following_limits(known, designed), designed), designed=True)
         except DesignFailed as failure:
             found = f"{found}; designed: {failure}".removeprefix("; ")
-    raise PredictionFails(
-        f"prediction of the swing of {100 * share:.0f} %",
-        found,
-        "a whole swing of about this speed, of the robot as measured",
-        "Reduce friction: at low speed this robot moves in jerks.",
-    )
+    expected = "a whole swing of about this speed, of the robot as measured"
+    action = "Reduce friction: at low speed this robot moves in jerks."
+    raise PredictionFails(f"prediction of the swing of {100 * share:.0f} %", found, expected, action)
 
 
 def _prediction_fails(bench: Bench, fastest: float) -> str:
@@ -379,66 +373,50 @@ _FARTHEST = 0.010
 misread."""
 
 
-class LearnedSwing:
-    """Learning of the swing that was found."""
+def learned_swing(
+    robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+) -> StepResult:
+    """Learn the profile of the step before on `robot`, and store it corrected in `folder`.
 
-    name, title = "learning", "Learning the swing"
-    bounds_text = (
-        f"at most {_SWINGS} swings at the speed of the step before, corrections bounded; "
-        "a swing that leaves its limits is stopped"
-    )
+    Raises:
+        MachineFault: the tolerances are not reached, or a load is beyond a rating.
+        Refused: the robot does not come back to its address.
+    """
+    profile = load_profile(folder / SWING_FILE)
+    progress("the response of the measured robot")
+    problem = prepare(bench_of(known, profile))
+    series, made = robot.series(problem.bench), list[SeriesSwing]()
+    marks = _Marks(problem, series)
 
-    def swing(
-        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
-    ) -> StepResult:
-        """Learn the profile of the step before on `robot`, and store it corrected in `folder`.
+    def swing(weights: NDArray[np.float64]) -> ObservedSwing:
+        progress(f"learning swing {len(made)}")
+        swung = series.swing(problem.basis.correction(weights).applied_to(profile))
+        require_safe(series.loads(), f"learning swing {len(made)}")
+        made.append(swung)
+        return ObservedSwing(swung.cycles, marks.figures(swung), swung.cause, swung.settled)
 
-        Raises:
-            MachineFault: the tolerances are not reached, or a load is beyond a rating.
-            Refused: the robot does not come back to its address.
-        """
-        profile = load_profile(folder / SWING_FILE)
-        progress("the response of the measured robot")
-        problem = prepare(bench_of(known, profile))
-        series, made = robot.series(problem.bench), list[SeriesSwing]()
-        marks = _Marks(problem, series)
-
-        def swing(weights: NDArray[np.float64]) -> ObservedSwing:
-            progress(f"learning swing {len(made)}")
-            swung = series.swing(problem.basis.correction(weights).applied_to(profile))
-            require_safe(series.loads(), f"learning swing {len(made)}")
-            made.append(swung)
-            return ObservedSwing(swung.cycles, marks.figures(swung), swung.cause, swung.settled)
-
-        result = learn(problem, swing, LearningSettings(swings=_SWINGS))
-        save_profile(folder / LEARNED_FILE, result.correction.applied_to(profile))
-        figures = _Learned(result, figures_of(made[result.chosen].delivery))
-        if not result.within:
-            raise MachineFault(
-                "learning",
-                f"after {result.used} swings {figures.text}",
-                "a swing within 2 mm, 0.3 %, 0.3 deg and 0.3 deg of its target",
-                "Look for what changes between swings: play, a slipping shaft, the supply; then --resume.",
-            )
-        learned = f"learned in {result.used} swings: {figures.text}"
-        return StepResult((), (learned, marks.text, *figures.truth))
+    result = learn(problem, swing, _SWINGS)
+    save_profile(folder / LEARNED_FILE, result.correction.applied_to(profile))
+    kept = result.attempts[result.chosen].figures
+    text = f"{_words(kept)}; target {_words(result.target)}"
+    if not result.within:
+        expected = "a swing within 2 mm, 0.3 %, 0.3 deg and 0.3 deg of its target"
+        action = "Look for what changes between swings: play, a slipping shaft, the supply; then --resume."
+        raise MachineFault("learning", f"after {result.used} swings {text}", expected, action)
+    notes = (f"learned in {result.used} swings: {text}", marks.text)
+    true = figures_of(made[result.chosen].delivery)  # as a simulated plant knows it
+    known_truth = () if np.isnan(true.speed) else (f"the simulated plant knows: {_words(true)}",)
+    return StepResult((), (*notes, *known_truth))
 
 
-class _Learned(NamedTuple):
-    result: LearningResult
-    true: Figures
-    """The kept swing's delivery as a simulated plant knows it."""
-
-    @property
-    def text(self) -> str:
-        """The kept swing by its source, and the target."""
-        kept, target = self.result.attempts[self.result.chosen].figures, self.result.target
-        return f"{_words(kept)}; target {_words(target)}"
-
-    @property
-    def truth(self) -> tuple[str, ...]:
-        """The kept swing as the simulated plant knows it; empty on a real robot."""
-        return () if np.isnan(self.true.speed) else (f"the simulated plant knows: {_words(self.true)}",)
+LEARNING = SwingingStep(
+    "learning",
+    "Learning the swing",
+    f"at most {_SWINGS} swings at the speed of the step before, corrections bounded; "
+    "a swing that leaves its limits is stopped",
+    learned_swing,
+)
+"""Learning of the swing that was found."""
 
 
 def _words(f: Figures) -> str:

@@ -15,8 +15,14 @@ from scipy.optimize import minimize_scalar
 
 from bench.base.errors import Refused
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.robot_estimate import ParameterEstimate
-from bench.commissioning.machine.step import MachineFault, Mark, PredictionFails, SwingSeries, SwungRobot
+from bench.commissioning.machine.step import (
+    MachineFault,
+    Mark,
+    ParameterEstimate,
+    PredictionFails,
+    SwingSeries,
+    SwungRobot,
+)
 from bench.commissioning.swings.fault_hypotheses import SwingCause, swing_causes
 from bench.commissioning.swings.short_predictions import (
     PRESSURE,
@@ -42,29 +48,15 @@ _MIN_IMPROVEMENT = 0.5
 """Max share of the misfit that is left, for their effects to be taken there."""
 _STEP = 0.3
 """Step of a derivative, in standard errors."""
-_GUESSES = {
-    "robot.l12": 1e-3,
-    "robot.l16": 1e-3,
-    "robot.l23": 1e-3,
-    "robot.l56": 1e-3,
-    "wrist_lever": 1e-3,
-}
+_GUESSES = {"robot.l12": 1e-3, "robot.l16": 1e-3, "robot.l23": 1e-3, "robot.l56": 1e-3, "wrist_lever": 1e-3}
 """Standard errors of values that no step measures, m."""
 
 
-class UncertainValue(NamedTuple):
-    """A value of the plant with its standard error."""
-
-    key: str
-    value: float
-    error: float
-
-
-def uncertain_values(found: Iterable[ParameterEstimate], plant: PlantParameters) -> list[UncertainValue]:
+def uncertain_values(found: Iterable[ParameterEstimate], plant: PlantParameters) -> list[ParameterEstimate]:
     """Return the values of `plant` with a standard error as `found`; the last of a key counts."""
     errors = {one.key: one.error for one in found}
     errors = {key: error for key, error in (_GUESSES | errors).items() if error > 0.0}
-    return [UncertainValue(key, float(value_at(plant, key)), error) for key, error in errors.items()]
+    return [ParameterEstimate(key, float(value_at(plant, key)), error) for key, error in errors.items()]
 
 
 class Misfit(NamedTuple):
@@ -79,7 +71,7 @@ class Misfit(NamedTuple):
 
 
 def swing_misfit(
-    recorded: RecordedSwing, plant: PlantParameters, uncertain: list[UncertainValue]
+    recorded: RecordedSwing, plant: PlantParameters, uncertain: list[ParameterEstimate]
 ) -> SwingMisfit:
     """Return the misfit of `recorded` around `plant`, or around likelier values where these explain it.
 
@@ -98,7 +90,11 @@ class SwingMisfit:
     """Misfit of a recorded swing, with the effects of the uncertain values around a plant."""
 
     def __init__(
-        self, recorded: RecordedSwing, plant: PlantParameters, uncertain: list[UncertainValue], moved: Array
+        self,
+        recorded: RecordedSwing,
+        plant: PlantParameters,
+        uncertain: list[ParameterEstimate],
+        moved: Array,
     ) -> None:
         """Take how `uncertain` values act on the windows, `moved` (p,) standard errors in `plant`."""
         self.recorded, self.plant, self._moved = recorded, plant, moved
@@ -132,7 +128,7 @@ def _better_from(without: Array, within: Array) -> int:
     return int(np.argmax(np.append(np.cumsum((gain[0] - gain[1])[::-1])[::-1], 0.0)))
 
 
-def effect(recorded: RecordedSwing, plant: PlantParameters, base: Array, one: UncertainValue) -> Array:
+def effect(recorded: RecordedSwing, plant: PlantParameters, base: Array, one: ParameterEstimate) -> Array:
     """Return the effect of a standard error of `one` on the model's predictions (k, QUANTITIES)."""
     step = _STEP * one.error
     moved = recorded.errors(with_values(plant, {one.key: float(value_at(plant, one.key)) + step}))
@@ -199,8 +195,8 @@ class Diagnosis(NamedTuple):
 
 
 def _named(one: FittedCause) -> str:
-    since = f"from {one.since:.2f} s of the swing on"
-    return f"{one.cause.location}: {one.cause.what} ({one.cause.words(one.value)}, {since})"
+    value = one.cause.form.format(one.cause.scale * one.value)
+    return f"{one.cause.location}: {one.cause.what} ({value}, from {one.since:.2f} s of the swing on)"
 
 
 def diagnose(cycles: Cycles, plant: PlantParameters, found: Iterable[ParameterEstimate]) -> Diagnosis:
@@ -259,46 +255,21 @@ def _tried(cause: SwingCause, value: float, misfit: SwingMisfit) -> FittedCause:
 
 
 class DiagnosedRobot:
-    """A SwungRobot of which a swing that a wrong machine explains is the last one."""
+    """A SwungRobot and its SwingSeries: a swing that a wrong machine explains is the last one."""
 
     def __init__(self, robot: SwungRobot, found: Sequence[ParameterEstimate], records: Path) -> None:
         """Look at the swings of `robot`, of which values were `found`; wrong ones are stored in `records`."""
         self._robot, self._found, self._records = robot, found, records
+        self._series: SwingSeries
+        self._model: PlantParameters
         self.last: Diagnosis | None = None
         """Diagnosis of the last swing; None before the first."""
 
-    def series(self, bench: Bench) -> DiagnosedSeries:
+    def series(self, bench: Bench) -> DiagnosedRobot:
         """Arm `bench`, whose model is the robot as measured: the model-based check is on."""
         watched = bench._replace(envelope=bench.envelope.with_model_check("always"))
-        return DiagnosedSeries(self._robot.series(watched), bench, self)
-
-    def look_at(self, swing: SeriesSwing, bench: Bench, name: str, loads: Loads | None) -> None:
-        """Keep what `swing` of the profile `name` says.
-
-        Raises:
-            MachineFault: it names a cause.
-        """
-        self.last = diagnose(swing.cycles, bench.model, self._found)
-        if self.last.named is None:
-            return
-        self._records.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(self._records / "wrong-swing.npz", cycles=swing.cycles)
-        said = "; ".join([self.last.text, *exceeded(loads)])
-        raise MachineFault(name, said, "the robot that was measured", self.last.named.cause.action)
-
-    def explained(self, error: Refused) -> Refused:
-        """Return `error` of a step with the diagnosis of the last swing, if that names no cause."""
-        if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
-            return error
-        return type(error)(error.location, f"{error.found}; {self.last.text}", error.expected, error.action)
-
-
-class DiagnosedSeries:
-    """Swings that are looked at."""
-
-    def __init__(self, series: SwingSeries, bench: Bench, robot: DiagnosedRobot) -> None:
-        """Swing `series` of `bench`."""
-        self._series, self._bench, self._robot = series, bench, robot
+        self._series, self._model = self._robot.series(watched), bench.model
+        return self
 
     def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
         """Swing `profile`, and come back to the address.
@@ -310,9 +281,9 @@ class DiagnosedSeries:
         try:
             made = self._series.swing(profile, ball=ball)
         except ReturnFailed as error:
-            self._robot.look_at(error.swing, self._bench, profile.name, self._series.loads())
+            self._look_at(error.swing, profile.name)
             raise
-        self._robot.look_at(made, self._bench, profile.name, self._series.loads())
+        self._look_at(made, profile.name)
         return made
 
     def loads(self) -> Loads | None:
@@ -322,3 +293,18 @@ class DiagnosedSeries:
     def face_mark(self, swing: SeriesSwing) -> Mark | None:
         """Return the ball's mark on the face; None where it is not read."""
         return self._series.face_mark(swing)
+
+    def _look_at(self, swing: SeriesSwing, name: str) -> None:
+        self.last = diagnose(swing.cycles, self._model, self._found)
+        if self.last.named is None:
+            return
+        self._records.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(self._records / "wrong-swing.npz", cycles=swing.cycles)
+        said = "; ".join([self.last.text, *exceeded(self._series.loads())])
+        raise MachineFault(name, said, "the robot that was measured", self.last.named.cause.action)
+
+    def explained(self, error: Refused) -> Refused:
+        """Return `error` of a step with the diagnosis of the last swing, if that names no cause."""
+        if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
+            return error
+        return type(error)(error.location, f"{error.found}; {self.last.text}", error.expected, error.action)

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS
+from bench.commissioning.machine.step import ACTUATOR_KEYS
 from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
 from bench.control.measured_plant import value_at, with_values
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
@@ -147,12 +147,8 @@ def swing_wear(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> Sw
     """
     plant = settings_of(metadata, location)[0]["plant"]
     if not np.isfinite(cycles["chamber_pressure"]).any(axis=0).all():
-        raise BenchError(
-            location,
-            "a chamber without pressures",
-            "the pressure of each chamber, which separates the parts",
-            "Fit a sensor to each chamber.",
-        )
+        expected = "the pressure of each chamber, which separates the parts"
+        raise BenchError(location, "a chamber without pressures", expected, "Fit a sensor to each chamber.")
     return fitted_wear(cycles, plant)
 
 

@@ -64,7 +64,6 @@ function form(one) {
     return make("fieldset", {}, make("legend", {}, label), ...one.joints.map((joint, index) =>
       make("label", {}, joint, " ", make("input", { id: id(field.name, index), inputmode: "decimal", autocomplete: "off", size: 8 }))));
   });
-  if (one.instead) numbers.push(make("label", { class: "check" }, make("input", { id: id("instead"), type: "checkbox" }), ` ${one.instead}`));
   if (one.clubs.length) numbers.unshift(make("label", {}, "Club ", make("select", { id: id("club") }, ...one.clubs.map((club) => make("option", { value: club, selected: club === content.club }, club)))));
   const lasting = one.lasting ? [labelled("method", "Method and tool", { maxlength: 200 }), labelled("days", "Days until it expires (may be empty)", { inputmode: "numeric" }), labelled("note", "Remark", { maxlength: 200 })] : [];
   const button = make("button", { type: "button", id: id("enter"), on: { click: () => enter(one, id, said, button) } }, "Enter");
@@ -83,9 +82,7 @@ async function enter(one, id, said, button) {
   if (!operator()) { by("holder").focus(); tell("Write your name first, at the top.", true); return; }
   if (!mayOperate()) { tell("Not possible now: you may not operate, or the page is not connected.", true); return; }
   const body = { number: randomNumber(), by: operator() };
-  const instead = one.instead !== "" && by(id("instead")).checked;
-  if (instead) body.instead = true;
-  for (const field of instead ? [] : one.fields) {
+  for (const field of one.fields) {
     const values = field.triple ? one.joints.map((_, index) => read(id(field.name, index))) : [read(id(field.name))];
     if (values.some(Number.isNaN) || (values.includes(null) && !(field.optional && values.every((v) => v === null)))) {
       by(id(field.name, field.triple ? 0 : "")).focus();

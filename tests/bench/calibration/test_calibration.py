@@ -162,7 +162,7 @@ def _controller(c: Configuration, plant: PlantParameters) -> ControlParameters:
         (BallPosition(0.60, -1.56, 1e-3), "calibrate ball"),
         (ClubInMount("driver", 1.20, 0.18, 0.92, 1e-3, 1e-3), "calibrate club driver"),
         (ClubInMount("hickory", 1.09, 0.18, 0.92, 1e-3, 1e-3), "calibrate club"),
-        (EncoderZeros((0, 0, 0), (1, 1, 1), 4096, 0.0), "calibration encoders version 1"),
+        (EncoderZeros((0, 0, 0), (1, 1, 1), 4096, 0.0), "calibrate encoders"),
     ],
 )
 def test_require_plausible_implausible_values_are_refused(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.step import ParameterEstimate, RobotEstimate
 from bench.commissioning.robot_file import robot_file
 from bench.config import Configuration
 from bench.control.measured_plant import value_at

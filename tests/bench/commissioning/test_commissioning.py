@@ -24,15 +24,21 @@ from bench.commissioning.commissioning import (
     Commissioning,
     begin,
     commission,
+    commissioning_process,
+    folder_lock,
     read_state,
 )
-from bench.commissioning.folder_lock import commissioning_process, folder_lock
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, Segment
-from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
-from bench.commissioning.machine.step import MachineFault, StepResult, Traces
+from bench.commissioning.machine.step import (
+    MachineFault,
+    ParameterEstimate,
+    RobotEstimate,
+    StepResult,
+    Traces,
+)
 from bench.commissioning.robot_file import commissioning_report, robot_file
-from bench.commissioning.steps.wiring import Wiring
+from bench.commissioning.steps.wiring import WIRING
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.text import configuration_text
@@ -75,7 +81,7 @@ class _Found:
 
 def _run(state: Commissioning, configuration: Configuration) -> RobotEstimate:
     with SimulatedMachine(configuration.plant, configuration.plant) as machine:
-        return commission(state, configuration.plant, machine, lambda: DAY)
+        return commission(state, configuration.plant, machine)
 
 
 def test_with_values_sets_values_by_key() -> None:
@@ -263,10 +269,10 @@ def test_wiring_step_wrong_machine_raises_fault(name: str) -> None:
     nominal = PlantParameters()
     case = wrong_machines(drawn_robot(4))[name]
     with SimulatedMachine(case.robot, nominal, case.faults) as machine:
-        step, known = Wiring(), RobotEstimate(nominal)
+        known = RobotEstimate(nominal)
 
         def take() -> None:
-            step.estimate(step.measure(machine, known), known)
+            WIRING.estimate(WIRING.measure(machine, known), known)
 
         with pytest.raises(MachineFault) as error:
             take()
@@ -283,7 +289,7 @@ def test_commission_drawn_robot_errors_cover_true_values(
     truth = drawn_robot(3, configuration.plant)
     state = begin(tmp_path, configuration, simulated=True, resume=False)
     with SimulatedMachine(truth, configuration.plant) as machine:
-        known = commission(state, configuration.plant, machine, lambda: DAY)
+        known = commission(state, configuration.plant, machine)
         assert machine.loads.stop_share < 1.0
         assert machine.loads.lowest_clearance > -0.005
     assert len(state.done) == len(STEPS)

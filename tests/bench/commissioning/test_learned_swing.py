@@ -16,7 +16,7 @@ from bench.commissioning.machine.step import (
     SwingSeries,
     read_mark,
 )
-from bench.commissioning.swings.speed_ramp import LearnedSwing, bench_of
+from bench.commissioning.swings.speed_ramp import LEARNING, bench_of
 from bench.config import Configuration
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
@@ -63,7 +63,7 @@ def test_learned_swing_face_marks_correct_length_error(tmp_path: Path, configura
     save_profile(tmp_path / SWING_FILE, profile)
     strikes = []
     for kind in (SimulatedRobot, Unread, TouchedBall):
-        result = LearnedSwing().swing(kind(longer), configuration, tmp_path, lambda what: None)
+        result = LEARNING.swing(kind(longer), configuration, tmp_path, lambda what: None)
         learned = load_profile(tmp_path / LEARNED_FILE)
         swung: SwingSeries = Series(bench_of(configuration, learned), longer)  # type: ignore[assignment]
         delivery = swung.swing(learned).delivery

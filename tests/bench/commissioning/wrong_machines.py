@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate
+from bench.commissioning.machine.step import ACTUATOR_KEYS, ParameterEstimate
 from bench.commissioning.swings.swing_diagnosis import Diagnosis
 from bench.control.measured_plant import value_at, with_values
 from sim.faults import Fault

@@ -122,7 +122,7 @@ def test_judge_gain_margin_matches_closed_loop_instability(
     """Loop margins and closed-loop modes agree, computed independently."""
     frozen, gains, period = plants[2], by_hand(bench), bench.model.tick
     for joint in range(3):
-        loop = judge([frozen], estimator, lambda _: gains, period, [joint]).loops[0]
+        loop = judge([frozen], estimator, lambda _: gains, period).loops[joint]
         assert loop.margins.gain > 1
 
         def raised(factor: float, joint: int = joint) -> Gains:

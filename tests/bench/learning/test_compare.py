@@ -10,13 +10,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Phase
 from bench.config import load_configuration, shipped_configuration
-from bench.learning.compare import (
-    compare,
-    controllers,
-    problem_of,
-    strayed,
-    thesis_gains,
-)
+from bench.learning.compare import compare, controllers, problem_of, strayed, thesis_gains
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.series import Bench
 from bench.swing.library import find_profile

@@ -125,7 +125,7 @@ def test_delivery_from_encoders_varied_robots_keep_speed_error_small() -> None:
     assert np.abs(errors).max() < 0.0015, errors  # with a parabola 0.0014 to 0.0025
 
 
-def _error(swing: SeriesSwing, model: PlantParameters, plan: Array | None) -> float:
+def _error(swing: SeriesSwing, model: PlantParameters, plan: Array) -> float:
     """Return by what share the measured speed is wrong."""
     measured = delivery_from_encoders(swing.cycles, model, plan)
     assert measured is not None

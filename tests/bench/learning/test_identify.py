@@ -8,16 +8,8 @@ import numba
 import numpy as np
 import pytest
 
-from bench.base.errors import BenchError
 from bench.config import load_configuration, shipped_configuration
-from bench.learning.identify import (
-    NAMES,
-    Identified,
-    identify,
-    plant_file,
-    variation_of,
-    write_plant_file,
-)
+from bench.learning.identify import NAMES, Identified, identify, variation_of, write_plant_file
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
@@ -54,23 +46,16 @@ def test_write_plant_file_loads_as_identified_configuration(tmp_path: Path) -> N
     error = np.full(len(NAMES), 0.01)
     error[0] = 0.2
     found = Identified(values, error, 5.0, 0.5)
-    robot = found.variation(BENCH).applied_to(BENCH.model)
+    robot = variation_of(values, BENCH).applied_to(BENCH.model)
     path = tmp_path / "robot.toml"
-    write_plant_file(path, plant_file(robot, found, SHIPPED))
+    write_plant_file(path, robot, found, SHIPPED)
     assert f"{NAMES[0]}: 1.0500 of the nominal, 0.2000; NOT identified" in path.read_text()
     again = load_configuration(path)
     assert again.plant == robot
     assert again.control == SHIPPED.control
 
 
-def test_identify_without_swings_raises_error() -> None:
-    with pytest.raises(BenchError, match="no swing"):
-        identify(BENCH, [])
-
-
-def test_identify_failed_search_restarts_from_measured_supply(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_identify_failed_search_restarts_from_measured_supply(monkeypatch: pytest.MonkeyPatch) -> None:
     """Far from the recorded robot all look alike: from the nominal supply nothing leads there."""
 
     def errors(bench: Bench, values: np.ndarray, seen: np.ndarray) -> np.ndarray:

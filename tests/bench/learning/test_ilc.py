@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bench.learning import ilc
 from bench.learning.delivery import Figures, Tolerance
-from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Response
+from bench.learning.ilc import Learner, LearnerTrial, Response
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ class Robot:
         figures = random.normal(0, 10, (4, WEIGHTS)) * self.scale[:, None]
         path = random.normal(0, 0.02, (3 * ROWS, WEIGHTS))
         plan = random.normal(0, 1, (ROWS, 3))
-        self.model = Response(TARGET.array, plan, np.arange(ROWS), figures, path, plan)
+        self.plan, self.model = plan, Response(np.arange(ROWS), figures, path, plan)
         self.figures = figures * (1 + doubt * random.normal(0, 1, figures.shape))
         self.path = path * (1 + doubt * random.normal(0, 1, path.shape))
         self.offset = offset * random.normal(0, 1, 4) * self.scale
@@ -34,12 +35,12 @@ class Robot:
     def swing(self, point: Array) -> LearnerTrial:
         noise = self.scatter * self.random.normal(0, 1, 4) * self.scale
         figures = TARGET.array + self.offset + self.figures @ point + noise
-        return LearnerTrial(point, figures, self.model.path + (self.path @ point).reshape(ROWS, 3))
+        return LearnerTrial(point, figures, self.plan + (self.path @ point).reshape(ROWS, 3))
 
 
-def learned(robot: Robot, settings: LearningSettings) -> Learner:
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, settings)
-    for _ in range(settings.swings + 1):
+def learned(robot: Robot) -> Learner:
+    learner = Learner(robot.model, TARGET, robot.plan)
+    for _ in range(ilc.SWINGS + 1):
         learner.note(robot.swing(learner.point))
         if learner.confirmed:
             break
@@ -49,7 +50,7 @@ def learned(robot: Robot, settings: LearningSettings) -> Learner:
 @pytest.mark.parametrize("seed", range(6))
 def test_learner_differing_robot_converges_within_twelve_swings(seed: int) -> None:
     robot = Robot(seed)
-    learner = learned(robot, LearningSettings())
+    learner = learned(robot)
     before, after = learner.trials[0], learner.trials[learner.chosen]
     assert np.abs(learner.error(before.figures)).max() > 3.0
     robot.scatter = 0.0
@@ -58,16 +59,17 @@ def test_learner_differing_robot_converges_within_twelve_swings(seed: int) -> No
 
 
 def test_learner_repeated_swing_within_tolerance_confirms() -> None:
-    learner = learned(Robot(1), LearningSettings())
+    learner = learned(Robot(1))
     assert learner.confirmed
     assert len(learner.trials) < 13
     assert np.array_equal(learner.trials[-1].point, learner.trials[-2].point)
     assert (learner.scatter < 0.5).all()
 
 
-def test_learner_weights_stay_in_bound_and_steps_in_radius() -> None:
-    settings = LearningSettings(bound=0.4, radius=0.5, greatest_radius=0.5)
-    learner = learned(Robot(2, offset=200.0), settings)
+def test_learner_weights_stay_in_bound_and_steps_in_radius(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("MAX_WEIGHT", 0.4), ("RADIUS", 0.5), ("_MAX_RADIUS", 0.5)):
+        monkeypatch.setattr(ilc, name, value)
+    learner = learned(Robot(2, offset=200.0))
     points = np.array([trial.point for trial in learner.trials])
     assert np.abs(points).max() <= 0.4 + 1e-6
     assert np.linalg.norm(points[1]) <= 0.5 + 1e-9
@@ -76,32 +78,32 @@ def test_learner_weights_stay_in_bound_and_steps_in_radius() -> None:
 
 def test_learner_stopped_swing_is_rejected_and_halves_step() -> None:
     robot = Robot(3)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.plan)
     learner.note(robot.swing(learner.point))
     first = learner.point.copy()
     path = robot.swing(first).path
     path[ROWS // 2 :] = np.nan
     learner.note(LearnerTrial(first, np.full(4, np.nan), path))
     assert learner.chosen == 0
-    assert np.linalg.norm(learner.point) <= 0.5 * LearningSettings().radius + 1e-9
+    assert np.linalg.norm(learner.point) <= 0.5 * ilc.RADIUS + 1e-9
     assert not np.allclose(learner.point, first)
 
 
 def test_learner_stopped_swings_reduce_path_error() -> None:
     """Before any swing reached the ball the path alone is learned from."""
     robot = Robot(4)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.plan)
     off = robot.path @ np.full(WEIGHTS, 0.3)
     for _ in range(5):
-        path = robot.model.path + (off + robot.path @ learner.point).reshape(ROWS, 3)
+        path = robot.plan + (off + robot.path @ learner.point).reshape(ROWS, 3)
         learner.note(LearnerTrial(learner.point, np.full(4, np.nan), path))
-    last = robot.model.path - learner.trials[learner.chosen].path
+    last = robot.plan - learner.trials[learner.chosen].path
     assert np.linalg.norm(last) < 0.6 * np.linalg.norm(off)
 
 
 def test_learner_unmeasured_figure_is_ignored() -> None:
     robot = Robot(5)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.plan)
     for _ in range(13):
         trial = robot.swing(learner.point)
         trial.figures[2] = np.nan
@@ -115,28 +117,18 @@ def test_learner_unmeasured_figure_is_ignored() -> None:
 
 def test_learner_worse_later_swings_keep_best_trial() -> None:
     robot = Robot(0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.plan)
     learner.note(robot.swing(learner.point))
-    good = LearnerTrial(learner.point, TARGET.array, robot.model.path)
+    good = LearnerTrial(learner.point, TARGET.array, robot.plan)
     learner.note(good)
     for part in (0.5, 0.8, 0.9):
-        learner.note(
-            LearnerTrial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.model.path)
-        )
+        learner.note(LearnerTrial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.plan))
     assert learner.trials[learner.chosen].point is good.point
-
-
-def begun(robot: Robot, point: Array) -> Beginning:
-    """Return the start for a robot whose uncorrected delivery is known to be off by `robot.offset`."""
-    figures = TARGET.array + robot.offset + robot.model.by_figures @ point
-    path = robot.model.path + (robot.model.by_path @ point).reshape(ROWS, 3)
-    about = robot.model._replace(figures=figures, path=path)
-    return Beginning(point, about, (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1)
 
 
 def test_learner_unsettled_swing_is_neither_confirmed_nor_chosen() -> None:
     robot = Robot(1, offset=0.0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.plan)
     for settled in (False, False, True):
         learner.note(robot.swing(np.zeros(WEIGHTS))._replace(settled=settled))
         assert not learner.confirmed
@@ -152,7 +144,7 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
         used[told] = 0
         for seed in range(6):
             robot = Robot(seed, doubt=0.1)
-            learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+            learner = Learner(robot.model, TARGET, robot.plan)
             first = robot.swing(learner.point)
             first.figures[1] += 10 * robot.scale[1]
             learner.note(first._replace(settled=not told))
@@ -162,37 +154,11 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
     assert used[True] < used[False]
 
 
-def test_learner_identified_prior_outweighs_single_swing() -> None:
-    robot = Robot(2, offset=0.1, scatter=0.0)
-    zero = np.zeros(WEIGHTS)
-    learner = Learner(
-        robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), begun(robot, zero)
-    )
-    assert np.array_equal(learner.point, zero)
-    unlucky = LearnerTrial(zero, TARGET.array + 0.6 * robot.scale, robot.model.path)
-    learner.note(unlucky)
-    assert np.array_equal(learner.point, zero)
-    alone = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
-    alone.note(unlucky)
-    assert not np.array_equal(alone.point, zero)
-
-
-def test_learner_expected_offset_is_corrected_before_first_swing() -> None:
-    robot = Robot(3, offset=3.0, doubt=0.05)
-    known = begun(robot, np.zeros(WEIGHTS))._replace(radius=1.5)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), known)
-    robot.scatter = 0.0
-    off = np.abs(learner.error(robot.swing(learner.point).figures)).max()
-    assert off < 0.5 * np.abs(robot.offset / robot.scale).max()
-
-
 def test_learner_mean_off_target_takes_further_step() -> None:
     robot = Robot(4, offset=0.0, scatter=0.0)
     zero = np.zeros(WEIGHTS)
-    learner = Learner(
-        robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), begun(robot, zero)
-    )
+    learner = Learner(robot.model, TARGET, robot.plan)
     for _ in range(4):
-        learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
+        learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.plan))
     assert not learner.confirmed
     assert not np.array_equal(learner.point, zero)

@@ -60,9 +60,7 @@ def hear_shots(bench: BenchProcess, ended: threading.Event, into: list[ShotPubli
 
 
 @pytest.mark.release
-def test_learn_command_missing_launch_monitor_data_uses_encoders(
-    tmp_path: Path,
-) -> None:
+def test_learn_command_missing_launch_monitor_data_uses_encoders(tmp_path: Path) -> None:
     more = f"[launch_monitor]\nenabled = true\nport = {free_port()}\n[launch_monitor.window]\nlatest = 8.0\n"
     file = write_configuration(tmp_path, "monitored-lesson", more)
     heard: list[ShotPublication] = []

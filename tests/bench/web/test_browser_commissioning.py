@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from bench.commissioning.commissioning import STEPS, read_state
-from bench.commissioning.folder_lock import commissioning_process
+from bench.commissioning.commissioning import STEPS, commissioning_process, read_state
 from bench.network.free_port import free_port
 from tests.bench.web.browser_tab import open_tab
 from tests.bench.web.day_at_page import OPERATOR, VIEWER, page_beside, sign_in_idle, write_day

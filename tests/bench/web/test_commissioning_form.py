@@ -18,8 +18,7 @@ from typing import Any
 import pytest
 
 from bench.base.errors import Refused
-from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, FaultRecord
-from bench.commissioning.folder_lock import folder_lock
+from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, FaultRecord, folder_lock
 from bench.config import Configuration
 from bench.network.free_port import free_port
 from bench.web.commissioning_service import CommissioningStore
@@ -32,7 +31,7 @@ DAY = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
 HOLDER = """
 import sys, time
 from pathlib import Path
-from bench.commissioning.folder_lock import folder_lock
+from bench.commissioning.commissioning import folder_lock
 with folder_lock(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import ExitCode, Refused
-from bench.calibration.valve_centre import standing_counts
+from bench.calibration.calibration import standing_counts
 from bench.commands.cli import main
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.encoder_preset import write_shifts
@@ -165,14 +165,6 @@ def test_calibrate_encoders_stores_device_presets(golfbench: Run, tmp_path: Path
     assert kept == ["preset 0, offset 0", "preset 7, offset -7", ""]
 
 
-def test_calibrate_valves_measure_finds_centre_and_dead_band(golfbench: Run) -> None:
-    code, text, _ = golfbench("calibrate", "valves", "--measure", "--json")
-    values = json.loads(text)["values"]
-    assert code == 0
-    assert values["centre"] == pytest.approx([0.0, 0.0, 0.0], abs=values["uncertainty"])
-    assert values["dead_band"] == pytest.approx([0.02, 0.02, 0.02], abs=values["uncertainty"])
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "texts"),
     [
@@ -186,8 +178,7 @@ def test_calibrate_valves_measure_finds_centre_and_dead_band(golfbench: Run) -> 
         ([*POSE[:4], "0", "0", "350"], 2, ["arm", "180.0 to 288.0"]),
         ([*POSE, "--counts", "-1", "5", "5"], 2, ["--counts[0]", "0 to 131071"]),
         ([*POSE, "--counts", "1", "5", "5", "--sign", "1", "0", "1"], 2, ["sign: 1 or -1"]),
-        (["valves", "--measure", "--uncertainty", "1"], 2, ["Give one or the other"]),
-        (["valves", "--centre", "0", "0", "0"], 2, ["values missing"]),
+        (["valves", "--centre", "0", "0", "0"], 2, ["--dead-band"]),
         (
             ["valves", "--centre", "0", "0.5", "0", "--dead-band", "0", "0", "0", "--uncertainty", "0"],
             2,
@@ -205,13 +196,6 @@ def test_calibrate_invalid_arguments_are_refused_without_record(
     for text in texts:
         assert text in errors
     assert golfbench("calibrate", "list", "--json")[1] == "[]\n"
-
-
-def test_calibrate_valves_measure_other_driver_is_refused(golfbench: Run, tmp_path: Path) -> None:
-    text = 'base = "shipped"\n[driver]\nname = "mock"\n'
-    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
-    code, _, errors = golfbench("calibrate", "valves", "--measure")
-    assert (code, "driver mock" in errors) == (ExitCode.REFUSED, True)
 
 
 # Counts of a running bench ---------------------------------------------------------------------------
@@ -237,7 +221,7 @@ def ticking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     def make(counts: Any, valid: bool = True, path: Path = tmp_path / "ring") -> Path:
         ticking = Ticking(path, counts, valid)
         made.append(ticking)
-        monkeypatch.setattr("bench.calibration.valve_centre.time.sleep", ticking)
+        monkeypatch.setattr("bench.calibration.calibration.time.sleep", ticking)
         return path
 
     yield make

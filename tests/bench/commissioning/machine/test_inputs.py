@@ -17,7 +17,6 @@ from bench.base.lifecycle import Block
 from bench.calibration.archive import add_calibration, effective_calibration
 from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_digest
 from bench.commands.cli import main
-from bench.commands.machine.calibrate_measured import simulated_hands
 from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.inputs import INPUTS, InputFinding, fitted, judged, stages
@@ -43,7 +42,7 @@ def wired(configuration: Configuration) -> Configuration:
 
 def checked(c: Configuration, *faults: Fault) -> list[InputFinding]:
     with SimulatedMachine(c.plant, c.plant, faults, inputs_only=True) as machine:
-        hands = simulated_hands(machine)._replace(timeout=0.5)
+        hands = machine.hands._replace(timeout=0.5)
         findings = check_inputs(machine, hands, c)[1]
         assert not machine.driver.applied.supply_enable
         assert machine.loads.peak_head_speed < 0.05, "nothing moves"
@@ -86,7 +85,7 @@ def healthy() -> list[dict[str, bool]]:
 
 def test_check_inputs_fault_free_machine_accepts_all_inputs(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
-        seen, findings = check_inputs(machine, simulated_hands(machine), wired)
+        seen, findings = check_inputs(machine, machine.hands, wired)
     assert findings == []
     assert seen.seen == ALL
     assert abs(seen.gauge) < 0.05e5
@@ -101,8 +100,7 @@ def test_stages_give_each_input_unique_pattern() -> None:
 
 
 @pytest.mark.parametrize(
-    ("a", "b"),
-    [(a, b) for n, a in enumerate(ALL) for b in ALL[:n] if {a, b} != {"vent 1", "vent 2"}],
+    ("a", "b"), [(a, b) for n, a in enumerate(ALL) for b in ALL[:n] if {a, b} != {"vent 1", "vent 2"}]
 )
 def test_judged_exchanged_inputs_are_reported_as_pair(a: str, b: str) -> None:
     seen = [readings(levels | {a: levels[b], b: levels[a]}) for levels in healthy()]
@@ -173,7 +171,7 @@ def test_check_inputs_supply_span_error_is_found_by_gauge(
     """Sensors of gauge pressure read the atmosphere right; all spans are 0.8 times the truth."""
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
         atmosphere = wired.plant.supply.atmosphere
-        own = simulated_hands(machine)
+        own = machine.hands
         true_watch, spoiled = machine.watch, spans(0.8, atmosphere)
         monkeypatch.setattr(machine, "watch", lambda *given: spoiled(true_watch(*given)))
 
@@ -188,7 +186,7 @@ def test_check_inputs_supply_span_error_is_found_by_gauge(
 def test_check_inputs_unproven_guard_keeps_supply_off(wired: Configuration) -> None:
     turned = list[float]()
     with SimulatedMachine(wired.plant, wired.plant, (broken("guard closed", "stuck", 1.0),)) as machine:
-        hands = simulated_hands(machine)._replace(timeout=0.5)
+        hands = machine.hands._replace(timeout=0.5)
 
         def turn(pressure: float) -> None:
             turned.append(pressure)
@@ -206,7 +204,7 @@ def test_check_inputs_stuck_open_spool_ends_check(wired: Configuration, measured
         SimulatedMachine(wired.plant, wired.plant, (stuck,), inputs_only=measured) as machine,
         pytest.raises(MachineFault, match=f"{words}.* with the spools centred"),
     ):
-        check_inputs(machine, simulated_hands(machine), wired)
+        check_inputs(machine, machine.hands, wired)
     assert not machine.driver.applied.supply_enable
     assert machine.loads.peak_head_speed < 3.0
 
@@ -215,7 +213,7 @@ def test_check_inputs_stuck_open_spool_ends_check(wired: Configuration, measured
 def test_check_inputs_spool_offsets_give_no_finding(wired: Configuration, seed: int) -> None:
     robot = drawn_robot(seed, wired.plant)
     with SimulatedMachine(robot, wired.plant) as machine:
-        findings = check_inputs(machine, simulated_hands(machine), wired)[1]
+        findings = check_inputs(machine, machine.hands, wired)[1]
         loads = machine.loads
     assert findings == []
     assert loads.stop_share < 0.6
@@ -224,7 +222,7 @@ def test_check_inputs_spool_offsets_give_no_finding(wired: Configuration, seed: 
 
 def test_check_inputs_supply_pressure_present_is_refused(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
-        hands = simulated_hands(machine)._replace(regulator=lambda p: None)
+        hands = machine.hands._replace(regulator=lambda p: None)
         with pytest.raises(Refused, match="Turn the regulator down"):
             check_inputs(machine, hands, wired)
         assert not machine.driver.applied.supply_enable
@@ -232,7 +230,7 @@ def test_check_inputs_supply_pressure_present_is_refused(wired: Configuration) -
 
 def test_check_inputs_gauge_without_air_is_refused(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
-        own = simulated_hands(machine)
+        own = machine.hands
         atmosphere = wired.plant.supply.atmosphere
         with pytest.raises(Refused, match="turn the regulator up"):
             check_inputs(machine, own._replace(regulator=lambda p: own.regulator(atmosphere)), wired)
@@ -240,7 +238,7 @@ def test_check_inputs_gauge_without_air_is_refused(wired: Configuration) -> None
 
 def test_check_inputs_operator_stop_is_refused_with_restart_action(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
-        hands = simulated_hands(machine)
+        hands = machine.hands
         machine._stop = lambda: True
         with pytest.raises(Refused) as refused:
             check_inputs(machine, hands, wired)
@@ -249,7 +247,7 @@ def test_check_inputs_operator_stop_is_refused_with_restart_action(wired: Config
 
 def test_check_inputs_without_gauge_is_refused(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
-        hands = simulated_hands(machine)._replace(gauge=None)
+        hands = machine.hands._replace(gauge=None)
         with pytest.raises(Refused, match="calibrate inputs"):
             check_inputs(machine, hands, wired)
 
@@ -258,7 +256,7 @@ def test_check_inputs_unfitted_inputs_are_skipped(configuration: Configuration) 
     plant = replace(configuration.plant, vent_feedback=False, pressure_sensors=False)
     c = replace(configuration, plant=plant)
     with SimulatedMachine(plant, plant, inputs_only=True) as machine:
-        seen, findings = check_inputs(machine, simulated_hands(machine), c)
+        seen, findings = check_inputs(machine, machine.hands, c)
     assert findings == []
     assert set(ALL) - set(seen.seen) == {"vent 1", "vent 2", "local reset"}
 
@@ -323,7 +321,7 @@ def test_see_inputs_runs_first_and_repeats_when_due(
     def step_0(in_force: str | None) -> int:
         """Return how many checks were made up to now."""
         unused = cast("Any", None)
-        see_inputs(state, configuration, unused, unused, lambda: NOW, in_force=in_force, keep=kept.append)
+        see_inputs(state, configuration, unused, unused, in_force=in_force, keep=kept.append)
         return len(kept)
 
     with pytest.raises(MachineFault, match="guard closed"):

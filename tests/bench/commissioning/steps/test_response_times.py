@@ -10,8 +10,7 @@ import pytest
 
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.machine import MotionTrace
-from bench.commissioning.machine.robot_estimate import RobotEstimate
-from bench.commissioning.machine.step import MOVING, PRESSING, fold, slow_bounds
+from bench.commissioning.machine.step import MOVING, PRESSING, RobotEstimate, fold, slow_bounds
 from bench.commissioning.steps.response_times import _pulses, fit_spool
 from sim.plant import PlantParameters
 

@@ -14,8 +14,8 @@ from bench.commissioning.machine.step import MachineFault, SimulatedRobot, Simul
 from bench.commissioning.swings import speed_ramp
 from bench.commissioning.swings.robot_swings import FastestSwing, slowed
 from bench.commissioning.swings.speed_ramp import (
+    SWINGS,
     PredictionSpread,
-    RisingSwings,
     SwingDeviation,
     bench_of,
     deviation,
@@ -246,7 +246,7 @@ def test_rising_swings_full_swing_uses_generated_limits(
     }.items():
         monkeypatch.setattr(speed_ramp, name, stand_in)
     robot = SimulatedRobot(configuration.plant)
-    RisingSwings().swing(robot, configuration, tmp_path, lambda what: None)
+    SWINGS.swing(robot, configuration, tmp_path, lambda what: None)
     assert made == ["slower False False", "limits of default", "default True True"]
 
 

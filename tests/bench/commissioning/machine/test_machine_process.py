@@ -23,22 +23,17 @@ import pytest
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Request
-from bench.commissioning.machine.driver_machine import _Log
-from bench.commissioning.machine.inputs import of_simulation
-from bench.commissioning.machine.live_robot import LiveRobot, MachineLost, OperatorIO, live_robot
-from bench.commissioning.machine.machine import MotionBounds, Segment
-from bench.commissioning.machine.machine_process import _PIECE, _send, with_quick_pressures
-from bench.commissioning.machine.machine_server import (
-    ArmBench,
-    LiveSeries,
-    LockGuard,
-    MachineServer,
-    MakePassive,
-    ReleaseGuard,
-    Run,
-    Swing,
-    Vent,
+from bench.commissioning.machine.inputs import OperatorIO, of_simulation
+from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment
+from bench.commissioning.machine.machine_process import (
+    _PIECE,
+    LiveRobot,
+    MachineLost,
+    _send,
+    live_robot,
+    with_quick_pressures,
 )
+from bench.commissioning.machine.machine_server import LiveSeries, MachineServer
 from bench.commissioning.swings.robot_swings import slowed
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration
@@ -113,23 +108,23 @@ def slow(configuration: Configuration) -> Profile:
 def test_machine_server_first_run_warns_with_beacon_before_supply(
     server: MachineServer, driver: WatchedDriver
 ) -> None:
-    server.obey(Run((Segment(0.2, OPENING),), BOUNDS))
+    server.obey("run", (Segment(0.2, OPENING),), BOUNDS)
     with_air = next(n for n, command in enumerate(driver.commands) if command.supply_enable)
     warning = driver.commands[:with_air]
     assert sum(command.beacon for command in warning) == pytest.approx(2000, abs=1)
     assert all(command.valve == (0.0, 0.0, 0.0) for command in warning)
     driver.commands.clear()
-    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
     assert all(command.supply_enable for command in driver.commands), "no pause between two sequences"
 
 
 def test_machine_server_hold_keeps_valve_commands(server: MachineServer, driver: WatchedDriver) -> None:
-    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
     for _ in range(50):
         server.hold()
     assert driver.commands[-1].valve == pytest.approx(OPENING)
     assert driver.commands[-1].supply_enable
-    server.obey(MakePassive())
+    server.obey("make_passive")
     for _ in range(3):
         server.hold()
     assert driver.commands[-1] == PASSIVE
@@ -137,7 +132,7 @@ def test_machine_server_hold_keeps_valve_commands(server: MachineServer, driver:
 
 def test_machine_server_hold_over_bound_makes_passive(server: MachineServer, driver: WatchedDriver) -> None:
     tight = BOUNDS._replace(pressure=2.5e5)
-    server.obey(Run((Segment(0.01, (0.3, 0.0, 0.0), vents_shut=True),), tight))
+    server.obey("run", (Segment(0.01, (0.3, 0.0, 0.0), vents_shut=True),), tight)
     assert driver.commands[-1].supply_enable
     for _ in range(3000):
         server.hold()
@@ -148,23 +143,23 @@ def test_machine_server_hold_over_bound_makes_passive(server: MachineServer, dri
 def test_machine_server_hold_open_interlock_makes_passive(
     server: MachineServer, driver: WatchedDriver, tmp_path: Path, clear: bool, closed: bool
 ) -> None:
-    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
     with SurroundingsWriter(tmp_path) as surroundings:
         surroundings.change(emergency_stop_clear=clear, guard_closed=closed)
         for _ in range(3):
             server.hold()
         assert driver.commands[-1] == PASSIVE
         with pytest.raises(Refused, match="--resume"):
-            server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+            server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
         assert not driver.commands[-1].supply_enable
         surroundings.change(emergency_stop_clear=True, guard_closed=True)
-    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
 
 
 def test_machine_server_hold_tolerates_encoder_loss_of_five_ticks(
     server: MachineServer, driver: WatchedDriver, tmp_path: Path
 ) -> None:
-    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
     with SurroundingsWriter(tmp_path) as surroundings:
         for ticks, lasts in ((5, True), (6, False)):
             surroundings.change(encoder_valid=(True, False, True))
@@ -179,8 +174,8 @@ def test_of_simulation_regulator_sets_supply_pressure(server: MachineServer, tmp
     turn = of_simulation(tmp_path)
     for pressure, expected in ((3.0e5, 3.0e5), (math.inf, 8.0e5)):
         turn(pressure)
-        trace = server.obey(Run((Segment(3.0, (0.0, 0.0, 0.0), vents_shut=True),), BOUNDS))
-        assert trace.supply[-1] == pytest.approx(expected, rel=0.05)  # type: ignore[attr-defined]
+        trace = server.obey("run", (Segment(3.0, (0.0, 0.0, 0.0), vents_shut=True),), BOUNDS)
+        assert trace.supply[-1] == pytest.approx(expected, rel=0.05)
 
 
 def test_machine_server_stop_in_run_makes_passive(
@@ -188,15 +183,15 @@ def test_machine_server_stop_in_run_makes_passive(
 ) -> None:
     asked.append(True)
     with pytest.raises(Refused, match="stopped by the operator"):
-        server.obey(Run((Segment(5.0, OPENING),), BOUNDS))
+        server.obey("run", (Segment(5.0, OPENING),), BOUNDS)
     assert driver.commands[-1] == PASSIVE
     asked.clear()
-    server.obey(Vent(5.0))
+    server.obey("vent", 5.0)
 
 
 def test_machine_server_swing_not_armed_raises(server: MachineServer, slow: Profile) -> None:
     with pytest.raises(ValueError, match="not armed"):
-        server.obey(Swing(slow, ball=False))
+        server.obey("swing", slow, False)
 
 
 @compiled_only
@@ -204,18 +199,18 @@ def test_machine_server_swing_not_armed_raises(server: MachineServer, slow: Prof
 def test_machine_server_arms_and_swings_with_and_without_ball(
     server: MachineServer, driver: WatchedDriver, configuration: Configuration, slow: Profile
 ) -> None:
-    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
-    server.obey(ArmBench(bench_of(configuration, slow)))
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
+    server.obey("arm", bench_of(configuration, slow))
     for ball in (False, True):
-        made = server.obey(Swing(slow, ball=ball))
-        assert made.cause is Cause.NONE  # type: ignore[attr-defined]
-        cycles = made.cycles  # type: ignore[attr-defined]
+        made = server.obey("swing", slow, ball)
+        assert made.cause is Cause.NONE
+        cycles = made.cycles
         assert len(cycles) == len(slow.angle)
         assert np.abs(cycles["angle"][slow.begins[5]] - slow.angle[slow.begins[5]]).max() < 0.3
-        assert made.delivery is None, "the robot itself does not know"  # type: ignore[attr-defined]
+        assert made.delivery is None, "the robot itself does not know"
     for _ in range(20):
         server.hold()
-    server.obey(Vent(40.0))
+    server.obey("vent", 40.0)
     assert driver.commands[-1] == PASSIVE
 
 
@@ -233,10 +228,10 @@ def test_machine_server_arm_refused_briefly_is_repeated(
         return request(operator, which)
 
     monkeypatch.setattr(SwingOperator, "request", refuse_first)
-    server.obey(ArmBench(bench_of(configuration, slow)))
+    server.obey("arm", bench_of(configuration, slow))
     assert len(refused) == 3
-    assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
-    server.obey(Vent(40.0))
+    assert server.obey("swing", slow, False).cause is Cause.NONE
+    server.obey("vent", 40.0)
 
 
 @compiled_only
@@ -252,10 +247,10 @@ def test_machine_server_arm_refused_reports_state_and_reason(
     monkeypatch.setattr(SwingOperator, "request", swing_unarmed)
     monkeypatch.setattr(LiveSeries._ask, "__defaults__", (0.5,))
     with pytest.raises(Refused) as refused:
-        server.obey(ArmBench(bench_of(configuration, slow)))
+        server.obey("arm", bench_of(configuration, slow))
     assert refused.value.found == "not possible in this state, READY"
     assert refused.value.action == "follow the text, then --resume."
-    server.obey(Vent(40.0))
+    server.obey("vent", 40.0)
 
 
 @compiled_only
@@ -269,9 +264,9 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("bench.commissioning.machine.machine_server._PERSON", 2.0)
-    server.obey(ArmBench(bench_of(configuration, slow)))
-    server.obey(Swing(slow, ball=True))
-    server.obey(ReleaseGuard())
+    server.obey("arm", bench_of(configuration, slow))
+    server.obey("swing", slow, True)
+    server.obey("release_guard")
     inside = driver.commands[-1]
     assert (inside.guard_lock, inside.supply_enable, inside.valve) == (False, False, (0.0, 0.0, 0.0))
     with SurroundingsWriter(tmp_path) as surroundings:
@@ -279,11 +274,11 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
         for _ in range(100):
             server.hold()
         with pytest.raises(Refused, match="guard"):
-            server.obey(LockGuard())
+            server.obey("lock_guard")
         assert not driver.commands[-1].supply_enable
         surroundings.change(guard_closed=True)
-        server.obey(LockGuard())
-    assert server.obey(Swing(slow, ball=True)).cause is Cause.NONE  # type: ignore[attr-defined]
+        server.obey("lock_guard")
+    assert server.obey("swing", slow, True).cause is Cause.NONE
 
 
 @compiled_only
@@ -291,10 +286,10 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
 def test_machine_server_stop_in_swing_is_refused(
     server: MachineServer, configuration: Configuration, slow: Profile, asked: list[bool]
 ) -> None:
-    server.obey(ArmBench(bench_of(configuration, slow)))
+    server.obey("arm", bench_of(configuration, slow))
     asked.append(True)
     with pytest.raises(Refused, match="stopped by the operator"):
-        server.obey(Swing(slow, ball=False))
+        server.obey("swing", slow, False)
     server.close()
 
 
@@ -318,7 +313,7 @@ def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
             record["encoder_valid"] = 0
 
     monkeypatch.setattr(driver, "read_record", read)
-    server.obey(ArmBench(bench_of(configuration, slow)))
+    server.obey("arm", bench_of(configuration, slow))
     start = SwingOperator.start_swing
 
     def started_once(self: SwingOperator[Any], *given: int) -> bool:
@@ -327,8 +322,8 @@ def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
         return begun
 
     monkeypatch.setattr(SwingOperator, "start_swing", started_once)
-    made = server.obey(Swing(slow, ball=False))
-    assert made.cause is Cause.NONE  # type: ignore[attr-defined]
+    made = server.obey("swing", slow, False)
+    assert made.cause is Cause.NONE
     repeated = next(text for text in said if "repeated" in text)
     assert "without a valid reading: all three encoders were lost at once" in repeated
     assert "stall of this machine" in repeated
@@ -360,11 +355,11 @@ def test_machine_server_arm_stopped_by_stall_is_repeated_and_reported(
     monkeypatch.setattr(WatchedDriver, "operational", property(lambda self: not passive[0]))
     monkeypatch.setattr(driver, "close", reopened)
     monkeypatch.setattr(driver, "open", reopened)
-    server.obey(ArmBench(bench_of(configuration, slow)))
+    server.obey("arm", bench_of(configuration, slow))
     assert len(said) == 1
     assert "the interlocks have not been received; it is armed again" in said[0]
-    assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
-    server.obey(Vent(40.0))
+    assert server.obey("swing", slow, False).cause is Cause.NONE
+    server.obey("vent", 40.0)
 
 
 @compiled_only
@@ -399,12 +394,12 @@ def test_machine_server_stalls_at_address_repeat_up_to_limit(
     monkeypatch.setattr(driver, "read_record", read)
     monkeypatch.setattr(SwingOperator, "start_swing", stalled)
     monkeypatch.setattr("bench.commissioning.machine.machine_server._REPEATED", ADDRESS_TRIES + 2)
-    server.obey(ArmBench(bench_of(configuration, slow)))
+    server.obey("arm", bench_of(configuration, slow))
     if ends:
         with pytest.raises(Refused, match=r"stopped at the address: .* all three encoders were lost at once"):
-            server.obey(Swing(slow, ball=False))
+            server.obey("swing", slow, False)
     else:
-        assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
+        assert server.obey("swing", slow, False).cause is Cause.NONE
     assert sum("stopped at the address" in text for text in said) == ADDRESS_TRIES + 1
 
 
@@ -413,12 +408,12 @@ def test_machine_server_stalls_at_address_repeat_up_to_limit(
 def test_machine_server_swing_without_ball_is_refused(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    server.obey(ArmBench(bench_of(configuration, slow)))
+    server.obey("arm", bench_of(configuration, slow))
     monkeypatch.setattr(
         "bench.commissioning.machine.machine_server.LiveSeries._sees_ball", lambda self: False
     )
     with pytest.raises(Refused, match="Fill the feeder"):
-        server.obey(Swing(slow, ball=True))
+        server.obey("swing", slow, True)
 
 
 # The process -----------------------------------------------------------------------------------------
@@ -481,7 +476,7 @@ def test_send_unread_answer_continues_ticks() -> None:
     answer = bytes(2 << 20)
     with ours, theirs:
         pieces = len(pickle.dumps((7, True, answer))) // _PIECE + 1
-        _send(ours, (7, True, answer), SimpleNamespace(hold=hold), SimpleNamespace(ends=False))  # type: ignore[arg-type]
+        _send(ours, (7, True, answer), SimpleNamespace(hold=hold), lambda: False)  # type: ignore[arg-type]
         reader.join(10.0)
     assert b"".join(read) == pickle.dumps((7, True, answer))
     assert len(read) == pieces
@@ -492,7 +487,7 @@ def test_send_unread_answer_continues_ticks() -> None:
 
 
 def test_log_missed_rows_are_interpolated() -> None:
-    log = _Log(5, 1000)
+    log = MotionLog(5, 1000)
     for n in (0, 1, 4, 5):
         readings = new_record(READINGS)
         readings["time"], readings["encoder_count"], readings["chamber_pressure"] = 7.0 + 0.001 * n, 10 * n, n
@@ -518,14 +513,14 @@ def test_machine_server_pressure_lost_briefly_keeps_value(
             record["chamber_pressure"] = INVALID
 
     monkeypatch.setattr(server._machine, "_read_record", read)
-    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
     lost[0] = 5
-    trace = server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
-    assert not trace.tripped  # type: ignore[attr-defined]
-    assert np.isfinite(trace.pressure).all()  # type: ignore[attr-defined]
+    trace = server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
+    assert not trace.tripped
+    assert np.isfinite(trace.pressure).all()
     lost[0] = 7
     with pytest.raises(Refused, match="no pressure of shoulder vane A"):
-        server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+        server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
     assert driver.commands[-1] == PASSIVE
 
 

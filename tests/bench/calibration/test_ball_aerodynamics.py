@@ -14,9 +14,14 @@ import pytest
 from sqlalchemy import Engine
 
 from bench.base.errors import BenchError
-from bench.calibration.aerodynamics_fit import FlightUncertainty, MeasuredFlight, fit_aerodynamics
 from bench.calibration.archive import add_aerodynamics, list_aerodynamics, newest_aerodynamics
-from bench.calibration.ball_aerodynamics import BallAerodynamics, aerodynamics_from_record
+from bench.calibration.ball_aerodynamics import (
+    BallAerodynamics,
+    FlightUncertainty,
+    MeasuredFlight,
+    aerodynamics_from_record,
+    fit_aerodynamics,
+)
 from bench.calibration.flight_table import read_flights
 from bench.config import database_url
 from bench.store.database import open_database
