@@ -109,7 +109,7 @@ def _read(
 ) -> tuple[list[ShotRecord], PlantParameters, str]:
     """Return the shots, the plant of the first, and a name for them."""
     from bench.records.shot.recorded_shot import read_shot
-    from bench.viewer.recorded_series import record_files
+    from bench.records.telemetry.recorder import record_files
 
     files = [shot] if shot is not None else record_files(campaign)
     task = progress.add_task("reading", total=len(files))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +114,28 @@ def _read_metadata(path: Path, stored: Mapping[bytes, bytes]) -> dict[str, Any]:
             "read it with the version of golfbench that wrote it",
         )
     return metadata
+
+
+def record_files(places: Sequence[Path]) -> list[Path]:
+    """Return the records at `places` in order; a folder stands for all records in it, sorted by name.
+
+    Raises:
+        BenchError: a place does not exist, or no record is found.
+    """
+    files: list[Path] = []
+    for location in places:
+        if location.is_dir():
+            files += sorted(location.rglob("*.parquet"))
+        elif location.exists():
+            files.append(location)
+        else:
+            expected = "a record or a folder of records"
+            action = "Correct the path of the records."
+            raise BenchError(str(location), "no such file or folder", expected, action)
+    if not files:
+        place, action = (
+            ", ".join(map(str, places)) or "records",
+            "Give a folder such as data/campaigns/ID/swings.",
+        )
+        raise BenchError(place, "no record (.parquet)", "at least one record", action)
+    return files
