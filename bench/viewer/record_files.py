@@ -46,8 +46,14 @@ from scipy.io import savemat
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.records.telemetry.atomic_file import atomic_file
-from bench.records.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field, to_arrow, unit_of
-from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.records.telemetry.cycle_record import (
+    ENUMERATIONS,
+    FIELDS,
+    SCHEMA_VERSION,
+    Field,
+    to_arrow,
+    unit_of,
+)
 from bench.records.telemetry.recorder import read_swing
 
 

@@ -1,9 +1,9 @@
 """Swings as a Rerun recording: robot motion, ball flight, and all signals on one time axis.
 
 The swings follow one another on `bench_time`; the figures of the shots are also on a separate timeline,
-`shot`. `log_shots` logs to any recording stream, `write_recording` to a file. An export (`write_rrd`) also has
-every field of the record in its own unit: below `record/`, a row a cycle on `bench_time`; each entity carries
-its unit and description, and the record's metadata are properties of the recording.
+`shot`. `log_shots` logs to any recording stream, `write_recording` to a file. An export (`write_rrd`) also
+has every field of the record in its own unit: below `record/`, a row a cycle on `bench_time`; each entity
+carries its unit and description, and the record's metadata are properties of the recording.
 
 A measured golfer next to the robot is a stick figure with club, joint angles and head speed on the same
 clock. The golfer's plane is turned into the robot's swing plane, and the head's position at the ball is the
@@ -25,9 +25,9 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from bench.golfer.golfer_file import GolferSwing
-from bench.records.shot.head_path import path_to_ball
 from bench.records.shot.recorded_shot import recorded_shot
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import ShotRecord
+from bench.records.shot.strike import time_at_ball
 from bench.records.telemetry.atomic_file import NotStored, atomic_path
 from bench.records.telemetry.cycle_record import FIELDS
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
@@ -284,7 +284,4 @@ def _log_shot(
 
 def impact_time(record: ShotRecord, plant: PlantParameters) -> float | None:
     """Return the time (s of the record) at which the head is at the ball's place, None if it never is."""
-    if not len(record.cycles):
-        return None
-    path = path_to_ball(plant.robot, record.cycles, plant.site.ball_x, 0.1)
-    return None if path is None else float(path.time[-1])
+    return time_at_ball(plant.robot, record.cycles, plant.site.ball_x)

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
-from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
 from bench.viewer.signals import COLOURS, Array, Colour, Times, send_scalars
 
 _YARD, _MPH = 0.9144, 0.44704

@@ -24,7 +24,7 @@ from bench.records.shot.recorded_shot import (
     shot_of_cycles,
     warm_up_shots,
 )
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import ShotRecord
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.drawing.drawing import ball_at_rest
 from bench.viewer.feed import Arrived, Feed

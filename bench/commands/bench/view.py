@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from bench.golfer.golfer_file import GolferSwing
-    from bench.records.shot.shot_record import ShotRecord
+    from bench.records.shot.shot import ShotRecord
     from bench.viewer.recording import Layout
     from bench.viewer.window import RerunWindow
     from sim.plant import PlantParameters

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from drivers.base import CHAMBERS, JOINTS
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Field(NamedTuple):
     components: tuple[str, ...] = ()
     """Names of the components of a vector; empty for a scalar."""
     names: str = ""
-    """Enumeration of its codes, see `bench.records.telemetry.enumerations`; empty for a field without
+    """Enumeration of its codes, see `bench.records.telemetry.cycle_record`; empty for a field without
     names."""
 
     @property
@@ -230,3 +230,14 @@ def unit_of(field: Field, index: int) -> str:
     """Return the unit of one component: efforts differ by actuator and list theirs."""
     units = field.unit.split(", ")
     return units[index] if len(units) > 1 else units[0]
+
+
+ENUMERATIONS: dict[str, dict[str, str]] = {
+    "state": {str(state.value): state.name for state in State},
+    "request": {str(request.value): request.name for request in Request},
+    "refusal": {str(refusal.value): refusal.name for refusal in Refusal},
+    "phase": {str(phase.value): phase.name for phase in Phase},
+    "reaction": {str(reaction.value): reaction.name for reaction in Reaction},
+    "cause": {str(cause.value): cause.name for cause in Cause},
+}
+"""Names by code, as stored in the metadata of records; JSON keys are text."""

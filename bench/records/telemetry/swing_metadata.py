@@ -28,7 +28,7 @@ In addition to `schema_version` and `enumerations` (`bench.records.telemetry.rec
                  `long_tick`, `machine`: stolen time, interrupts)
 `drift`          of a whole swing through the ball's place, else null or missing: `club_speed_mps`;
                  `ball_met_m`, where the encoders saw the head at the strike, along the ground; the medians of
-                 the first swings with the same tables; `warnings`; see `bench.records.shot.swing_drift`
+                 the first swings with the same tables; `warnings`; see `bench.records.shot.strike`
 """
 
 from __future__ import annotations
@@ -47,7 +47,6 @@ import numpy as np
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, State
-from bench.records.telemetry.shot_id import shot_id
 from bench.records.telemetry.swing_cutter import MOVING, Cycles, RecordSegment
 from bench.swing.profile import Profile
 
@@ -226,3 +225,13 @@ def read_profile(metadata: Mapping[str, Any], location: str) -> Profile:
             "the profile's data",
             "Replay a record that the daemon wrote, or restore it from a copy.",
         ) from error
+
+
+def run_id(start: datetime) -> str:
+    """Return the id of a bench's run from `start` on; ticks count from there."""
+    return f"{start.astimezone(UTC):%Y%m%dT%H%M%SZ}"
+
+
+def shot_id(run: str, tick: int) -> str:
+    """Return the id of the shot whose swing began at `tick` of `run`."""
+    return f"{run}-{tick}"

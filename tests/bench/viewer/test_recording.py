@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Phase
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import ShotRecord
 from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.drawing.drawing import ball_at_rest, body_poses, draw, plane_to_golf

@@ -17,7 +17,7 @@ import rerun as rr
 
 from bench.base.lifecycle import Cause, Phase, State
 from bench.records.shot.recorded_shot import FlightConditions, flight_of, shot_to_json
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import ShotRecord
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.recorder import read_swing, write_swing
 from bench.viewer.feed import Feed

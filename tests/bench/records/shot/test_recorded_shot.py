@@ -20,8 +20,7 @@ from bench.records.shot.recorded_shot import (
     shot_of_cycles,
     shot_to_json,
 )
-from bench.records.shot.shot import ShotStatus
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import ShotRecord, ShotStatus
 from bench.records.telemetry.recorder import write_swing
 from bench.viewer.signals import effort_limits, efforts, limits_of, signals_of
 from sim.air import Air
