@@ -85,12 +85,18 @@ def refusal_answer(error: BenchError) -> Response:
 
 
 async def body_of(request: Request) -> dict[str, Any]:
-    """Return the JSON object in the body of `request`.
+    """Return the JSON object in the body of `request`, whose length the request filter has checked.
 
     Raises:
-        InvalidBody: it is no object.
+        InvalidBody: it is no object, or the connection ended before all of it had arrived.
     """
-    if (read := json_object(await request.body())) is None:
+    from starlette.requests import ClientDisconnect
+
+    try:
+        body = await request.body()
+    except ClientDisconnect:
+        raise InvalidBody("cut off") from None
+    if (read := json_object(body)) is None:
         raise InvalidBody("no JSON object")
     return read
 
