@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Iterator, Mapping
+import logging
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from threading import Lock
+from threading import Event, Lock, Thread
 from typing import Any
 
 from bench.web.request_filter import Receive, Scope, Send
@@ -103,6 +104,44 @@ class PageBroadcaster:
 def event_text(topic: str, content: Any) -> bytes:
     """Return a server-sent event; JSON has no line breaks, whatever a name contains."""
     return f"event: {topic}\ndata: {json.dumps(content, allow_nan=False)}\n\n".encode()
+
+
+_PERIOD = 1.0
+"""Period of the looks, s."""
+
+_log = logging.getLogger("golfbench")
+
+
+class TopicPoller:
+    """Publishes contents that have changed; a separate thread looks at them every second."""
+
+    def __init__(self, broadcaster: PageBroadcaster, looks: Mapping[str, Callable[[], Any]]) -> None:
+        """`looks` return the content by topic; one that raises is called again."""
+        self._broadcaster, self._looks, self._ended = broadcaster, looks, Event()
+        self._thread = Thread(target=self._work, name="page-poller", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._ended.set()
+        self._thread.join()
+
+    def _work(self) -> None:
+        shown: dict[str, Any] = {}
+        while not self._ended.is_set():
+            for topic, look in self._looks.items():
+                try:
+                    content = look()
+                except Exception as error:  # no bench, a folder that goes meanwhile, a session that closes
+                    _log.debug("page: %s: %s", topic, error)
+                    continue
+                if topic not in shown or content != shown[topic]:
+                    self._broadcaster.publish(topic, content)
+                    shown[topic] = content
+            self._ended.wait(_PERIOD)
 
 
 SEND_TIME = 10.0

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable, Iterator
 from importlib.resources import files
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -13,25 +15,14 @@ _KINDS = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
-    ".webmanifest": "application/manifest+json",
 }
 
 
-class StaticFile(NamedTuple):
-    """Content and media type of one file."""
-
-    content: bytes
-    kind: str
-
-
-def static_files() -> dict[str, StaticFile]:
-    """Return the files of the page by name."""
-    found = {}
-    for file in files("bench.web").joinpath("static").iterdir():
-        kind = _KINDS.get(f".{file.name.rpartition('.')[2]}")
-        if kind is not None and file.is_file():
-            found[file.name] = StaticFile(file.read_bytes(), kind)
-    return found
+def static_files() -> dict[str, tuple[bytes, str]]:
+    """Return content and media type of the files of the page by name."""
+    folder = files("bench.web").joinpath("static")
+    kinds = {file: _KINDS.get(Path(file.name).suffix) for file in folder.iterdir()}
+    return {file.name: (file.read_bytes(), kind) for file, kind in kinds.items() if kind is not None}
 
 
 MAX_RECORDS = 30
@@ -72,33 +63,21 @@ class Downloads:
 
     def records(self, search: str = "") -> list[dict[str, Any]]:
         """Return name and size (bytes) of the newest records, campaigns' too, whose names have `search`."""
-        listed = [*self._own(search), *self._of_campaigns(search)]
+        listed = [*islice(self._named(_names(self._records), search), MAX_RECORDS)]
+        listed += islice(self._named(self._names_of_campaigns(), search), MAX_RECORDS)
         listed.sort(key=lambda one: one[1].st_mtime_ns, reverse=True)
         return [{"name": name, "bytes": about.st_size} for name, about in listed[:MAX_RECORDS]]
 
-    def _own(self, search: str) -> list[tuple[str, os.stat_result]]:
-        """Return the newest swings outside of campaigns; names begin with their times."""
-        return self._listed(_names(self._records), search)
-
-    def _of_campaigns(self, search: str) -> list[tuple[str, os.stat_result]]:
-        """Return the newest swings of campaigns: those of the latest ones, named after them."""
-        found = list[tuple[str, os.stat_result]]()
+    def _names_of_campaigns(self) -> Iterator[str]:
+        """Yield the names of the campaigns' swings, those of the latest campaigns first."""
         folders = [self._campaigns / name / "swings" for name in _names(self._campaigns)]
         for folder in sorted(filter(Path.is_dir, folders), key=lambda one: -one.stat().st_mtime_ns):
-            named = [f"{folder.parent.name}.{name}" for name in _names(folder)]
-            found += self._listed(named, search)
-            if len(found) >= MAX_RECORDS:
-                break
-        return found
+            yield from (f"{folder.parent.name}.{name}" for name in _names(folder))
 
-    def _listed(self, names: list[str], search: str) -> list[tuple[str, os.stat_result]]:
-        found = list[tuple[str, os.stat_result]]()
+    def _named(self, names: Iterable[str], search: str) -> Iterator[tuple[str, os.stat_result]]:
         for name in names:
             if search in name.casefold() and (path := self.record(name)) is not None:
-                found.append((name, path.stat()))
-            if len(found) == MAX_RECORDS:
-                break
-        return found
+                yield name, path.stat()
 
     def newest(self) -> Path | None:
         """Return the newest record; None without one."""

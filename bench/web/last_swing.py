@@ -15,8 +15,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from queue import Empty, Full, Queue
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -174,12 +173,7 @@ def _finite(value: float | None) -> float | None:
     return float(value) if value is not None and np.isfinite(value) else None
 
 
-class Offer(NamedTuple):
-    """A file that holds a swing."""
-
-    path: Path
-    view: Callable[[Path], dict[str, Any] | None]
-    """Reader of the swing: a record, or the loop's ring during or after it."""
+_Look = Callable[[], dict[str, Any] | None]
 
 
 class SwingReader:
@@ -196,7 +190,8 @@ class SwingReader:
         `plant` and `around` are those of the configuration.
         """
         self._publish, self._plant, self._around = publish, plant, around
-        self._offered: Queue[Offer | None] = Queue(1)
+        self._offered: tuple[Path, _Look] | None = None
+        self._ended, self._changed = False, threading.Condition()
         self._thread = threading.Thread(target=self._work, name="page-swings", daemon=True)
 
     def start(self) -> None:
@@ -205,12 +200,20 @@ class SwingReader:
 
     def close(self) -> None:
         """End after the record that is being read."""
-        self._put(None)
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
         self._thread.join()
 
     def offer(self, path: Path) -> None:
         """Read the record at `path` instead of what still waits."""
-        self._put(Offer(path, swing_view))
+        self._put(path, partial(swing_view, path))
+
+    def offer_shot(self, message: dict[str, Any]) -> None:
+        """Read the stored record that a `message` about a shot names first, if it is on this machine."""
+        record, outcome = message.get("record"), message.get("outcome")
+        if isinstance(record, str) and outcome is None and Path(record).is_file():
+            self.offer(Path(record))
 
     def offer_ring(self, ring: Path, *, running: bool = False) -> None:
         """Read the swing that has ended from `ring` instead of what still waits.
@@ -218,42 +221,41 @@ class SwingReader:
         One that is `running` is left out while another offer waits.
         """
         if not running:
-            self._put(Offer(ring, partial(ended_swing_view, plant=self._plant, around=self._around)))
-            return
-        with suppress(Full):
-            self._offered.put_nowait(Offer(ring, partial(running_swing_view, plant=self._plant)))
+            self._put(ring, partial(ended_swing_view, ring, self._plant, self._around))
+        elif self._offered is None:
+            self._put(ring, partial(running_swing_view, ring, self._plant))
 
-    def _put(self, item: Offer | None) -> None:
-        while True:
-            try:
-                self._offered.put_nowait(item)
-                return
-            except Full:
-                try:
-                    if self._offered.get_nowait() is None:
-                        item = None  # the end stays the end
-                except Empty:
-                    pass
+    def _put(self, path: Path, look: _Look) -> None:
+        with self._changed:
+            self._offered = path, look
+            self._changed.notify()
+
+    def _take(self, timeout: float | None) -> tuple[Path, _Look] | None:
+        """Return the offer, once there is one; None after `timeout` (s), or at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended or self._offered is not None, timeout)
+            offered, self._offered = self._offered, None
+            return offered
 
     def _work(self) -> None:
         with suppress(PermissionError):  # a service that may not has a low priority already
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         warm = False
         while True:
-            try:
-                offer = self._offered.get(timeout=None if warm else _IDLE)
-            except Empty:
+            offer = self._take(None if warm else _IDLE)
+            if self._ended:
+                return
+            if offer is None:
                 warm_up_shots(self._plant, self._around)
                 warm = True
                 continue
-            if offer is None:
-                return
+            path, look = offer
             try:
-                view = offer.view(offer.path)
+                view = look()
             except NoRing as error:  # a bench on another machine: its record is not here either
                 _log.debug("page: %s", error)
             except (BenchError, ExceptionGroup, ValueError, KeyError, OSError) as error:
-                _log.warning("page: swing in %s: %s", offer.path, error)
+                _log.warning("page: swing in %s: %s", path, error)
             else:
                 if view is not None:
                     self._publish("swing", view)

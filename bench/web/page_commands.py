@@ -28,30 +28,22 @@ MAX_NUMBERS = 1024
 """Number of commands that are remembered to refuse their repetition."""
 
 
-class PageCommand(NamedTuple):
-    """One command."""
+_Command = Callable[[BenchClient], CommandAnswer]
 
-    send: Callable[[BenchClient], CommandAnswer]
-    leased: bool
-    """Whether it needs the lease."""
-
-
-COMMANDS: Mapping[str, PageCommand] = {
-    "reset": PageCommand(lambda bench: bench.reset(TIMEOUT), True),
-    "home": PageCommand(lambda bench: bench.home(TIMEOUT), True),
-    "arm": PageCommand(lambda bench: bench.arm(TIMEOUT), True),
-    "disarm": PageCommand(lambda bench: bench.disarm(), False),
-    "swing": PageCommand(lambda bench: bench.swing(TIMEOUT), True),
-    "tee": PageCommand(lambda bench: bench.tee(), True),
-    "access": PageCommand(lambda bench: bench.access(), True),
-    "secure": PageCommand(lambda bench: bench.secure(), True),
+COMMANDS: Mapping[str, _Command] = {
+    "reset": lambda bench: bench.reset(TIMEOUT),
+    "home": lambda bench: bench.home(TIMEOUT),
+    "arm": lambda bench: bench.arm(TIMEOUT),
+    "disarm": BenchClient.disarm,
+    "swing": lambda bench: bench.swing(TIMEOUT),
+    "tee": BenchClient.tee,
+    "access": BenchClient.access,
+    "secure": BenchClient.secure,
 }
 """Commands by name, without the stops."""
-
-STOPS: Mapping[str, Callable[[BenchClient], CommandAnswer]] = {
-    "stop": lambda bench: bench.stop(),
-    "estop": lambda bench: bench.emergency_stop(),
-}
+WITHOUT_LEASE = frozenset({"disarm"})
+"""Commands that need no lease."""
+STOPS: Mapping[str, _Command] = {"stop": BenchClient.stop, "estop": BenchClient.emergency_stop}
 
 
 class CommandNumbers:

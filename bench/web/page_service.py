@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from enum import Enum
 from pathlib import Path
@@ -18,7 +18,7 @@ from bench.web.bench_link import BenchLink
 from bench.web.broadcaster import EventStream, PageBroadcaster
 from bench.web.downloads import Download, static_files
 from bench.web.page_access import SESSION, PageAccess, PageRole
-from bench.web.page_commands import COMMANDS, STOPS, CommandNumbers, PageLeases
+from bench.web.page_commands import COMMANDS, STOPS, WITHOUT_LEASE, CommandNumbers, PageLeases
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -92,7 +92,8 @@ class PageService:
         found = self._files.get(request.path_params.get("name", "index.html"))
         if found is None:
             return json_answer({"what": "There is no such file."}, 404)
-        return Response(found.content, media_type=found.kind, headers={"cache-control": "no-cache"})
+        content, kind = found
+        return Response(content, media_type=kind, headers={"cache-control": "no-cache"})
 
     async def stream(self, request: Request) -> Any:
         """Return the messages of the bench as server-sent events."""
@@ -130,14 +131,14 @@ class PageService:
 
     def stop(self, asked: Asked) -> dict[str, Any]:
         """Stop the robot, whatever the body says; no lease, no number, no age."""
-        return _answered(STOPS[_known(STOPS, asked.path["name"])](self._link.client()))
+        return _answered(_known(STOPS, asked)(self._link.client()))
 
     def command(self, asked: Asked) -> dict[str, Any]:
         """Send a command with the lease of the tab that asks."""
-        command = COMMANDS[_known(COMMANDS, asked.path["name"])]
+        send = _known(COMMANDS, asked)
         asked.once(fresh=True)
-        client = self._leases.client(asked.ticket) if command.leased else self._link.client()
-        return _answered(command.send(client))
+        leased = asked.path["name"] not in WITHOUT_LEASE
+        return _answered(send(self._leases.client(asked.ticket) if leased else self._link.client()))
 
     def lease(self, asked: Asked) -> dict[str, Any]:
         """Take, renew or release the lease."""
@@ -237,10 +238,10 @@ def _answered(answer: CommandAnswer) -> dict[str, Any]:
     return {"state": answer.state, "note": answer.note}
 
 
-def _known(commands: Collection[str], name: str) -> str:
-    if name not in commands:
+def _known(commands: Mapping[str, T], asked: Asked) -> T:
+    if (command := commands.get(asked.path["name"])) is None:
         raise UnknownName("command")
-    return name
+    return command
 
 
 def _started_pool(kind: Pool) -> ThreadPoolExecutor:
