@@ -19,9 +19,8 @@ from typing import Any
 from bench.base.errors import BenchError, Refused
 from bench.commissioning.commissioning import ALL_STEPS, STATE_FILE, Commissioning, read_state
 from bench.commissioning.folder_lock import commissioning_process
-from bench.web.answers import Asked
+from bench.web.answers import REPORT, Asked, Download, plain_file
 from bench.web.command_line import BackgroundCommand, CommandLine
-from bench.web.downloads import REPORT, Download, plain_file
 from bench.web.start_service import is_toml_to_name
 
 MAX_LISTED = 10

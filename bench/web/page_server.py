@@ -19,13 +19,12 @@ from bench.calibration.calibration import apply
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.supervisor.ownership import bench_folder
 from bench.supervisor.plan import RING_FILE
-from bench.web.answers import InvalidBody, UnknownName, json_answer
+from bench.web.answers import Downloads, InvalidBody, UnknownName, json_answer
 from bench.web.bench_link import BenchLink
 from bench.web.broadcaster import PageBroadcaster, TopicPoller
 from bench.web.campaign_service import CampaignArchive, CampaignService, RunningCampaigns
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
 from bench.web.commissioning_service import CommissioningService, CommissioningStore
-from bench.web.downloads import Downloads
 from bench.web.entry_forms import bench_values
 from bench.web.last_swing import SwingReader
 from bench.web.page_access import PageAddress, PageRole, checked_address, page_access
