@@ -31,49 +31,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bench.records.telemetry.atomic_file import atomic_file
-from bench.viewer.drawing.bodies import Colour, DrawnBody, Part
+from bench.viewer.drawing.bodies import Colour, DrawnBody, Part, joined_meshes, write_stl
 from bench.viewer.drawing.drawing import Array, PlacedBody, draw, plane_to_golf
-from bench.viewer.drawing.solids import Mesh, joined_meshes, write_stl
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 
 _FLOAT, _UNSIGNED = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _GLTF, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-
-
-class _Buffer:
-    """The binary chunk with its views and accessors."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def add(self, values: np.ndarray, kind: str, component: int, target: int) -> int:
-        """Append `values`; return the accessor's index."""
-        raw = values.tobytes()
-        self.views.append(
-            {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw), "target": target}
-        )
-        self.data += raw
-        accessor = {"bufferView": len(self.views) - 1, "componentType": component, "type": kind}
-        accessor |= {"count": len(values)}
-        if kind == "VEC3":
-            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
-
-    def primitive(self, mesh: Mesh, material: int) -> dict[str, Any]:
-        """Append a mesh; return its primitive."""
-        position = self.add(mesh.vertices.astype("<f4"), "VEC3", _FLOAT, _VERTICES)
-        normal = self.add(mesh.normals.astype("<f4"), "VEC3", _FLOAT, _VERTICES)
-        indices = self.add(mesh.triangles.astype("<u4").ravel(), "SCALAR", _UNSIGNED, _INDICES)
-        return {
-            "attributes": {"POSITION": position, "NORMAL": normal},
-            "indices": indices,
-            "material": material,
-        }
 
 
 def by_colour(body: DrawnBody) -> dict[Colour, list[Part]]:
@@ -94,36 +59,56 @@ def _material(colour: Colour) -> dict[str, Any]:
 def gltf(bodies: Sequence[PlacedBody]) -> bytes:
     """Return the bodies as a binary glTF file."""
     colours = list(dict.fromkeys(colour for one in bodies for colour in by_colour(one.body)))
-    buffer, meshes, nodes = _Buffer(), [], []
-    for one in bodies:
-        primitives = [
-            buffer.primitive(joined_meshes([part.solid.mesh for part in parts]), colours.index(colour))
-            for colour, parts in by_colour(one.body).items()
-        ]
-        meshes.append({"name": one.body.name, "primitives": primitives})
-        nodes.append(
-            {
-                "name": one.body.name,
-                "mesh": len(meshes) - 1,
-                "translation": [float(value) for value in one.at],
-                "rotation": Rotation.from_matrix(one.turn).as_quat().tolist(),
-            }
+    data = bytearray()
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+
+    def added(values: np.ndarray, kind: str, component: int, target: int) -> int:
+        """Append `values` to the binary chunk; return the accessor's index."""
+        raw = values.tobytes()
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(raw), "target": target})
+        data.extend(raw)
+        accessor = {"bufferView": len(accessors), "componentType": component, "type": kind}
+        accessor |= {"count": len(values)}
+        if kind == "VEC3":
+            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+        accessors.append(accessor)
+        return len(accessors) - 1
+
+    def primitive(colour: Colour, parts: list[Part]) -> dict[str, Any]:
+        mesh = joined_meshes([part.solid.mesh for part in parts])
+        position, normal = (
+            added(values.astype("<f4"), "VEC3", _FLOAT, _VERTICES) for values in (mesh.vertices, mesh.normals)
         )
+        indices = added(mesh.triangles.astype("<u4").ravel(), "SCALAR", _UNSIGNED, _INDICES)
+        attributes = {"POSITION": position, "NORMAL": normal}
+        return {"attributes": attributes, "indices": indices, "material": colours.index(colour)}
+
     content = {
         "asset": {"version": "2.0", "generator": "golfbench"},
         "scene": 0,
-        "scenes": [{"name": "golfbench", "nodes": list(range(len(nodes)))}],
-        "nodes": nodes,
-        "meshes": meshes,
+        "scenes": [{"name": "golfbench", "nodes": list(range(len(bodies)))}],
+        "nodes": [
+            {
+                "name": one.body.name,
+                "mesh": number,
+                "translation": [float(value) for value in one.at],
+                "rotation": Rotation.from_matrix(one.turn).as_quat().tolist(),
+            }
+            for number, one in enumerate(bodies)
+        ],
+        "meshes": [
+            {"name": one.body.name, "primitives": [primitive(*part) for part in by_colour(one.body).items()]}
+            for one in bodies
+        ],
         "materials": [_material(colour) for colour in colours],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{"byteLength": len(buffer.data)}],
+        "accessors": accessors,
+        "bufferViews": views,
     }
-    text = json.dumps(content, separators=(",", ":")).encode()
+    text = json.dumps(content | {"buffers": [{"byteLength": len(data)}]}, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<II", len(text), _JSON) + text
-    chunks += struct.pack("<II", len(buffer.data), _BINARY) + bytes(buffer.data)
+    chunks += struct.pack("<II", len(data), _BINARY) + bytes(data)
     return struct.pack("<III", _GLTF, 2, 12 + len(chunks)) + chunks
 
 
@@ -307,21 +292,14 @@ def _club_outline(link: Element, outline: CollisionOutline) -> None:
     SubElement(SubElement(sole, "geometry"), "sphere", radius=repr(outline.sole_radius))
 
 
-def _angles(rotation: Array) -> str:
-    """Return roll, pitch, yaw (rad) of a rotation matrix."""
-    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
-    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
-    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-    return " ".join(repr(float(angle)) for angle in (roll, pitch, yaw))
-
-
 def _fixed(
     robot: Element, parent: str, child: str, at: Array | None = None, rotation: Array | None = None
 ) -> None:
     """Add a joint that does not move."""
     joint = SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
     xyz = " ".join(repr(float(value)) for value in (np.zeros(3) if at is None else at))
-    SubElement(joint, "origin", xyz=xyz, rpy=_angles(np.eye(3) if rotation is None else rotation))
+    rpy = [] if rotation is None else Rotation.from_matrix(rotation).as_euler("xyz").tolist()
+    SubElement(joint, "origin", xyz=xyz, rpy=" ".join(map(repr, rpy)))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
 

@@ -16,10 +16,9 @@ import numpy as np
 
 from bench.base.errors import BenchError
 from bench.records.telemetry.atomic_file import atomic_file, atomic_path
-from bench.viewer.drawing.bodies import DrawnBody
+from bench.viewer.drawing.bodies import Bar, DrawnBody, Ellipsoid, Mesh, Solid, Tube
 from bench.viewer.drawing.drawing import PlacedBody, draw
 from bench.viewer.drawing.model_files import Y_UP_TO_Z_UP
-from bench.viewer.drawing.solids import Bar, Ellipsoid, Mesh, Solid, Tube
 from sim.plant import PlantParameters
 
 REASONS = {

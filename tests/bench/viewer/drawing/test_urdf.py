@@ -11,10 +11,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from bench.viewer.drawing.bodies import Tube
 from bench.viewer.drawing.drawing import address, plane_to_golf
 from bench.viewer.drawing.links import lever_parts
 from bench.viewer.drawing.model_files import CLOSURE, CollisionOutline, collision_outline, joints, write_urdf
-from bench.viewer.drawing.solids import Tube
 from sim.kane import forward_dynamics
 from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters
