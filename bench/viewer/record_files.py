@@ -286,12 +286,7 @@ def _log_schema() -> Schema:
         "file": text,
         "line": integer,
     }
-    return {
-        "title": "foxglove.Log",
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-    }
+    return {"title": "foxglove.Log", "type": "object", "properties": properties, "required": list(properties)}
 
 
 def cycle_schema() -> Schema:

@@ -75,13 +75,7 @@ FIELDS = (
     Field("vented", "?", "1", "chambers are proven empty"),
     Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'", names="phase"),
     Field("reaction", "u1", "1", "reaction under way, see enumeration 'reaction'", names="reaction"),
-    Field(
-        "cause",
-        "i4",
-        "1",
-        "cause of the stop, see enumeration 'cause'; 0 when none",
-        names="cause",
-    ),
+    Field("cause", "i4", "1", "cause of the stop, see enumeration 'cause'; 0 when none", names="cause"),
     Field(
         "latest_cause",
         "i4",
@@ -118,13 +112,7 @@ FIELDS = (
     Field("ball_present", "?", "1", "ball seen on the tee"),
     Field("local_reset", "?", "1", "local reset input"),
     Field("supply_pressure", "f8", "Pa", "supply pressure, absolute; NaN: not fitted, infinite: no value"),
-    Field(
-        "chamber_pressure",
-        "f8",
-        "Pa",
-        "chamber pressure, absolute, as above",
-        _CHAMBERS,
-    ),
+    Field("chamber_pressure", "f8", "Pa", "chamber pressure, absolute, as above", _CHAMBERS),
     Field(
         "spool_position",
         "f8",
