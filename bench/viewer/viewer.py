@@ -163,11 +163,10 @@ class LiveView:
         bench: str,
         plant: PlantParameters,
         around: FlightConditions,
-        clock: Any = time.time,
     ) -> None:
-        """Log the static scene; `clock` returns UTC (s since 1970)."""
+        """Log the static scene."""
         self._recording, self._feed, self._bench = recording, feed, bench
-        self._plant, self._around, self._clock = plant, around, clock
+        self._plant, self._around = plant, around
         self.axis = ViewClock()
         self.to_subscriber, self.to_rerun = Ages(), Ages()
         """Ages from a tick to its arrival here, and to its acceptance by Rerun."""
@@ -200,7 +199,7 @@ class LiveView:
             document(self._recording, "bench", self._times(self._at(now)), self._text(now))
         if cycles:
             self._recording.flush(timeout_sec=2.0)
-            self.to_rerun.add(self._clock() - news.batches[-1].batch.time)
+            self.to_rerun.add(time.time() - news.batches[-1].batch.time)
         return cycles
 
     # Messages ------------------------------------------------------------------------------------
@@ -290,7 +289,7 @@ class LiveView:
             self._plant,
             self._around,
             number=number,
-            time_utc=datetime.fromtimestamp(self._clock(), UTC),
+            time_utc=datetime.fromtimestamp(time.time(), UTC),
         )
         self._show_shot(record, self._struck(cycles))
 

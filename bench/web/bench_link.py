@@ -217,7 +217,7 @@ class BenchLink:
             except BenchError:
                 self._ended.wait(_RETRY)
                 continue
-            with Feed(session, self.bench, time.time, TOPICS) as feed:
+            with Feed(session, self.bench, TOPICS) as feed:
                 with self._lock:
                     self._session = session
                 try:

@@ -139,14 +139,11 @@ def described_forms(clubs: list[str]) -> list[dict[str, Any]]:
     """Return the forms for the browser, with the `clubs` of the configuration."""
     return [
         {
+            **form._asdict(),
             "name": name,
-            "title": form.title,
-            "steps": form.steps,
             "fields": [field._asdict() for field in form.fields],
             "joints": _NAMES,
             "clubs": clubs if form.club else [],
-            "lasting": form.lasting,
-            "instead": form.instead_label,
         }
         for name, form in FORMS.items()
     ]

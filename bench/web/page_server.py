@@ -8,7 +8,7 @@ import signal
 import socket
 import ssl
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +33,6 @@ from bench.web.request_filter import Application, RequestFilter, http_protocol
 from bench.web.start_service import PlanCatalogue, StartService
 
 if TYPE_CHECKING:
-    import uvicorn
     from starlette.requests import Request
     from starlette.responses import Response
 
@@ -174,7 +173,8 @@ async def _serve(
         # With tokens a browser without a certificate may sign in.
         ssl_cert_reqs=ssl.CERT_OPTIONAL if address.tokens else ssl.CERT_REQUIRED,
     )
-    server, loop = _server_without_signals(config), asyncio.get_running_loop()
+    server, loop = uvicorn.Server(config), asyncio.get_running_loop()
+    server.capture_signals = nullcontext  # type: ignore[method-assign, assignment] - they are the page's
 
     def end() -> None:
         server.should_exit = True
@@ -207,19 +207,6 @@ async def _beat(link: BenchLink, broadcaster: PageBroadcaster) -> None:
         silence = link.silence()
         broadcaster.publish("link", {"silent_s": None if silence == float("inf") else round(silence, 2)})
         await asyncio.sleep(_BEAT)
-
-
-def _server_without_signals(config: uvicorn.Config) -> uvicorn.Server:
-    import uvicorn
-
-    class QuietServer(uvicorn.Server):
-        """Leaves the signals to the page."""
-
-        @contextmanager
-        def capture_signals(self) -> Iterator[None]:
-            yield
-
-    return QuietServer(config)
 
 
 _log = logging.getLogger("golfbench")

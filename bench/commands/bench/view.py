@@ -153,7 +153,7 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
     stack.callback(close_session, session)
     around = FlightConditions(c.air, c.wind, c.turf)
     warm_up(c.plant, around)
-    feed = stack.enter_context(Feed(session, c.bench.id, time.time))
+    feed = stack.enter_context(Feed(session, c.bench.id))
     wish = stack.enter_context(stop_on_signals())
     window = _window(stack, where) if where.on_screen else None
     sinks: list[Any] = [] if window is None else [rr.GrpcSink(window.url)]

@@ -64,7 +64,7 @@ function form(one) {
     return make("fieldset", {}, make("legend", {}, label), ...one.joints.map((joint, index) =>
       make("label", {}, joint, " ", make("input", { id: id(field.name, index), inputmode: "decimal", autocomplete: "off", size: 8 }))));
   });
-  if (one.instead) numbers.push(make("label", { class: "check" }, make("input", { id: id("instead"), type: "checkbox" }), ` ${one.instead}`));
+  if (one.instead) numbers.push(make("label", { class: "check" }, make("input", { id: id("instead"), type: "checkbox" }), ` ${one.instead_label}`));
   if (one.clubs.length) numbers.unshift(make("label", {}, "Club ", make("select", { id: id("club") }, ...one.clubs.map((club) => make("option", { value: club, selected: club === content.club }, club)))));
   const lasting = one.lasting ? [labelled("method", "Method and tool", { maxlength: 200 }), labelled("days", "Days until it expires (may be empty)", { inputmode: "numeric" }), labelled("note", "Remark", { maxlength: 200 })] : [];
   const button = make("button", { type: "button", id: id("enter"), on: { click: () => enter(one, id, said, button) } }, "Enter");

@@ -16,6 +16,7 @@ import pytest
 import rerun as rr
 
 from bench.base.lifecycle import Cause, Phase, State
+from bench.network.zenoh_session import open_client
 from bench.records.shot.recorded_shot import FlightConditions, flight_of, shot_to_json
 from bench.records.shot.shot import ShotRecord
 from bench.records.telemetry.cycle_record import CYCLE
@@ -121,7 +122,7 @@ class Watched:
 @pytest.fixture
 def watched(tmp_path: Path, plant: PlantParameters) -> Iterator[Watched]:
     network, file = loopback(), tmp_path / "live.rrd"
-    with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
+    with fake_bench(network) as bench, Feed(open_client(network, BENCH), BENCH) as feed:
         stream = rr.RecordingStream("golfbench")
         stream.set_sinks(rr.FileSink(file, write_footer=False))
         view = LiveView(stream, feed, BENCH, plant, FlightConditions())
