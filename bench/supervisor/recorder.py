@@ -43,7 +43,7 @@ from bench.records.telemetry.recorder import (
 )
 from bench.records.telemetry.ring import RingReader
 from bench.records.telemetry.swing_cutter import Cycles, RecordSegment, SwingSegmenter
-from bench.records.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
+from bench.records.telemetry.swing_metadata import begin_of, profile_entry, run_entries, since, swing_metadata
 from bench.supervisor.child_process import (
     Condition,
     HeartbeatSender,
@@ -128,15 +128,15 @@ class Recorder:
                 cannot be written as JSON.
         """
         self._plan = plan
-        self._entries = RunMetadata(
-            plan.bench,
-            plan.run,
+        self._entries = run_entries(
             plan.profile,
-            plan.configuration,
-            plan.versions,
-            plan.real_time,
-            plan.calibrations,
-        ).entries()
+            bench=plan.bench,
+            run=plan.run,
+            configuration=plan.configuration,
+            versions=plan.versions,
+            real_time=plan.real_time,
+            calibrations=plan.calibrations,
+        )
         self._basis = plan.basis
         self._heartbeat = HeartbeatSender(plan.heartbeat)
         self._ring = RingReader(plan.ring, from_oldest=True)

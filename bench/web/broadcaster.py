@@ -144,10 +144,6 @@ class TopicPoller:
             self._ended.wait(_PERIOD)
 
 
-SEND_TIME = 10.0
-"""Max time for a reader to take a message, s; then its connection ends."""
-
-
 class EventStream:
     """The response to one reader: an ASGI application that sends the newest messages as it takes them."""
 
@@ -156,15 +152,13 @@ class EventStream:
         self._broadcaster, self._first = broadcaster, event_text("you", first)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send until the reader goes, stops taking messages, or the server ends."""
+        """Send until the reader goes or the server ends; the kernel ends one that takes no messages."""
         try:
             with self._broadcaster.reader() as reader:
                 await self._serve(reader, receive, send)
         except TooManyReaders:
             await send({"type": "http.response.start", "status": 503, "headers": []})
             await send({"type": "http.response.body", "body": b"Too many open pages: close some."})
-        except TimeoutError:
-            scope.get("state", {}).get("abort", lambda: None)()
 
     async def _serve(self, reader: PageReader, receive: Receive, send: Send) -> None:
         gone = asyncio.create_task(_watch(receive, reader))
@@ -173,8 +167,7 @@ class EventStream:
             await send({"type": "http.response.start", "status": 200, "headers": headers})
             message: bytes | None = self._first
             while message is not None:
-                async with asyncio.timeout(SEND_TIME):
-                    await send({"type": "http.response.body", "body": message, "more_body": True})
+                await send({"type": "http.response.body", "body": message, "more_body": True})
                 message = await reader.take()
             if not gone.done():
                 await send({"type": "http.response.body", "body": b""})

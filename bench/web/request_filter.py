@@ -128,7 +128,7 @@ def http_protocol() -> type[asyncio.Protocol]:
                 transport.abort()
                 return
             name = common_name(transport.get_extra_info("peercert"))
-            self.app = _with_state(self.app, {"certificate": name, "abort": transport.abort})
+            self.app = _with_certificate(self.app, name)
             self._monitor_request()
 
         def data_received(self, data: bytes) -> None:
@@ -160,9 +160,9 @@ def common_name(certificate: Mapping[str, Any] | None) -> str:
     return names[0] if len(names) == 1 else ""
 
 
-def _with_state(application: Any, state: Mapping[str, Any]) -> Application:
+def _with_certificate(application: Any, name: str) -> Application:
     async def run(scope: Scope, receive: Receive, send: Send) -> None:
-        scope["state"] = {**scope.get("state", {}), **state}
+        scope["state"] = {**scope.get("state", {}), "certificate": name}
         await application(scope, receive, send)
 
     return run
