@@ -64,7 +64,7 @@ def _write(
     from importlib.util import find_spec
 
     from bench.viewer.drawing.drawing import placed
-    from bench.viewer.drawing.model_files import collision_outline, write_gltf, write_urdf
+    from bench.viewer.drawing.model_files import write_gltf, write_urdf
     from bench.viewer.drawing.workshop_files import write_step
 
     written = []
@@ -73,7 +73,7 @@ def _write(
         written.append(output / "robot.glb")
         write_gltf(written[-1], bodies)
     if format_ in (None, DrawingFormat.URDF):
-        written += write_urdf(output, plant, collision_outline(plant, min_frame_distance))[-2:]
+        written += write_urdf(output, plant, min_frame_distance)[-2:]
     if format_ is DrawingFormat.STEP or (format_ is None and find_spec("build123d") is not None):
         written.append(output / "robot.step")
         write_step(written[-1], bodies)

@@ -119,36 +119,7 @@ def write_gltf(path: Path, bodies: Sequence[PlacedBody]) -> None:
 
 
 _FRAME_LENGTH = 0.10
-
-
-class CollisionOutline(NamedTuple):
-    """Outlines in their bodies' frames (m); the club's line is as thick as its shaft."""
-
-    club_length: float
-    """Line of the club from R3 to the centre of the face."""
-    club_radius: float
-    sole_radius: float
-    """Ball round the centre of the face whose lowest point is the sole."""
-    min_frame_distance: float
-    """Cylinder round R1, `frame_length` long across the swing plane."""
-    frame_length: float
-    ground: float
-    """Height of the ground line in the swing plane."""
-
-
-def collision_outline(plant: PlantParameters, min_frame_distance: float) -> CollisionOutline:
-    """Return the outlines of a plant; `min_frame_distance` is the envelope's (m)."""
-    club, site = plant.robot.club, plant.site
-    return CollisionOutline(
-        club.length_to_face,
-        club.shaft_radius,
-        site.sole_depth,
-        min_frame_distance,
-        _FRAME_LENGTH,
-        site.ground,
-    )
-
-
+"""Length of the frame's cylinder round R1, across the swing plane (m)."""
 MESHES = "meshes"
 """Folder of the meshes, next to the URDF."""
 CLOSURE = ("right_shoulder", "right_shoulder_of_cylinder")
@@ -190,8 +161,10 @@ def joints(plant: PlantParameters) -> list[Hinge]:
     ]
 
 
-def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) -> list[Path]:
+def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) -> list[Path]:
     """Write `golfbench.urdf`, its meshes and `closure.json` into `folder`; return the files.
+
+    `min_frame_distance` is the envelope's (m).
 
     Raises NotStored if one cannot be written.
     """
@@ -206,7 +179,7 @@ def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) 
         _fixed(robot, "ground", body.name, rotation=Y_UP_TO_Z_UP)
     axes, origin = plane_to_golf(plant.robot, plant.site)
     plane = _link(robot, "swing_plane")
-    _cylinder(SubElement(plane, "collision"), outline.min_frame_distance, outline.frame_length)
+    _cylinder(SubElement(plane, "collision"), min_frame_distance, _FRAME_LENGTH)
     _fixed(robot, "ground", "swing_plane", Y_UP_TO_Z_UP @ origin, Y_UP_TO_Z_UP @ axes)
     for body in drawing.fixed_in_plane:
         files += _visuals(_link(robot, body.name), folder, body)
@@ -217,7 +190,7 @@ def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) 
             _inertial(link, body)
             files += _visuals(link, folder, body)
             if body.name == "club":
-                _club_outline(link, outline)
+                _club_outline(link, plant)
     for hinge in joints(plant):
         _joint(robot, hinge)
     for frame, parent, x in (
@@ -282,14 +255,14 @@ def _cylinder(
     SubElement(SubElement(collision, "geometry"), "cylinder", radius=repr(radius), length=repr(length))
 
 
-def _club_outline(link: Element, outline: CollisionOutline) -> None:
+def _club_outline(link: Element, plant: PlantParameters) -> None:
     """Add the club of the clearance checks: its line, and the ball whose lowest point is the sole."""
-    length = outline.club_length
+    length = plant.robot.club.length_to_face
     collision = SubElement(link, "collision")
-    _cylinder(collision, outline.club_radius, length, f"{length / 2!r} 0 0", f"0 {pi / 2!r} 0")
+    _cylinder(collision, plant.robot.club.shaft_radius, length, f"{length / 2!r} 0 0", f"0 {pi / 2!r} 0")
     sole = SubElement(link, "collision")
     SubElement(sole, "origin", xyz=f"{length!r} 0 0", rpy="0 0 0")
-    SubElement(SubElement(sole, "geometry"), "sphere", radius=repr(outline.sole_radius))
+    SubElement(SubElement(sole, "geometry"), "sphere", radius=repr(plant.site.sole_depth))
 
 
 def _fixed(
