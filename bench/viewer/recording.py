@@ -27,7 +27,7 @@ from rerun.chunk import RrdReader
 from bench.golfer.golfer_file import GolferSwing
 from bench.records.shot.recorded_shot import recorded_shot
 from bench.records.shot.shot import ShotRecord
-from bench.records.shot.strike import time_at_ball
+from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.records.telemetry.atomic_file import NotStored, atomic_path
 from bench.records.telemetry.cycle_record import FIELDS
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
@@ -37,7 +37,6 @@ from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_
 from bench.viewer.shots import ShotSeries
 from bench.viewer.signals import (
     COLOURS,
-    SWINGING,
     Array,
     Times,
     bench_time,

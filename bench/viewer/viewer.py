@@ -23,13 +23,13 @@ from bench.records.shot.recorded_shot import (
     warm_up_shots,
 )
 from bench.records.shot.shot import ShotRecord
+from bench.records.shot.strike import SWINGING
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.drawing.drawing import ball_at_rest
 from bench.viewer.feed import Arrived, Feed
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball
 from bench.viewer.signals import (
-    SWINGING,
     TIMELINE,
     Array,
     Cycles,

@@ -188,8 +188,8 @@ def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str,
 class RerunWindow:
     """A viewer that runs until closed by its user or at the end of a `with`."""
 
-    def __init__(self, kind: Kind, memory: str = MEMORY) -> None:
-        """Start the viewer and wait until it listens, at free ports; beyond `memory` old data are dropped.
+    def __init__(self, kind: Kind) -> None:
+        """Start the viewer and wait until it listens, at free ports; beyond MEMORY old data are dropped.
 
         Raises:
             BenchError: there is no screen.
@@ -209,9 +209,9 @@ class RerunWindow:
             arguments = ["--bind", LOOPBACK, "--port", str(self.port), "--hide-welcome-screen"]
             if source_port is not None:
                 arguments += ["--serve-web", "--web-viewer-port", str(source_port)]
-                arguments += ["--server-memory-limit", memory]
+                arguments += ["--server-memory-limit", MEMORY]
             else:
-                arguments += ["--memory-limit", memory]
+                arguments += ["--memory-limit", MEMORY]
             if kind == "headless":
                 arguments += ["--headless"]
             self._said = (folder / "said").open("w+b")

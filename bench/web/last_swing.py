@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.base.lifecycle import Phase, State
+from bench.base.lifecycle import State
 from bench.records.shot.recorded_shot import FlightConditions, recorded_shot, shot_of_cycles, warm_up_shots
 from bench.records.shot.shot import Shot
+from bench.records.shot.strike import SWINGING, TO_BALL
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.ring import NoRing, RingReader
 from drivers.base import ACTUATORS, JOINTS
@@ -46,8 +47,6 @@ FIGURES = (
     "spin_rpm",
     "carry_m",
 )
-_MOVING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
-_TO_BALL = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT)
 
 _log = logging.getLogger("golfbench")
 
@@ -130,7 +129,7 @@ def _view(shot: Shot, cycles: np.ndarray[Any, Any], plant: PlantParameters) -> d
 
 def _drawn(cycles: np.ndarray[Any, Any], plant: PlantParameters) -> dict[str, Any]:
     """Return the ball's position and the curves of a swing's `cycles`; a swing without motion has none."""
-    moving = cycles[np.isin(cycles["phase"], _MOVING)]
+    moving = cycles[np.isin(cycles["phase"], SWINGING)]
     curves = _curves(moving) if len(moving) > 2 else {"path": [], "speed": None, "tracking": None}
     return {"ball_at": [plant.site.ball_x, plant.site.ball_y], **curves}
 
@@ -141,7 +140,7 @@ def _curves(moving: np.ndarray[Any, Any]) -> dict[str, Any]:
     head = moving["head_position"]
     speed = moving["head_speed"]
     error = np.degrees(moving["angle"] - moving["reference_angle"])
-    down = np.isin(moving["phase"], _TO_BALL)
+    down = np.isin(moving["phase"], TO_BALL)
     worst = np.abs(error[down] if down.any() else error).max(axis=0)
     at = np.unique(np.linspace(0, len(moving) - 1, POINTS).astype(int))
     end = int(np.flatnonzero(down)[-1]) if down.any() else len(moving) - 1

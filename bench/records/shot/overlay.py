@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.lifecycle import Phase
 from bench.records.shot.recorded_shot import RecordedShot
-from bench.records.shot.strike import time_at_ball
+from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.swing.motion import head_speed
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
@@ -45,7 +44,6 @@ DELIVERY = {
 """Figures of a shot, and their units."""
 _PLANNED = {"head_speed_mps": "club_speed_mps", "attack_angle_deg": "attack_angle_deg"}
 """Columns of a shot by the name of the profile's figure."""
-_SWING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ class FigureDifference(NamedTuple):
 def course_of_record(name: str, shot: RecordedShot) -> SwingCourse:
     """Return the course of a record's swing, empty where it holds none."""
     cycles = shot.record.cycles
-    cycles = cycles[np.isin(cycles["phase"], _SWING)]
+    cycles = cycles[np.isin(cycles["phase"], SWINGING)]
     start = float(cycles["time"][0]) if len(cycles) else 0.0
     at_ball = time_at_ball(shot.plant.robot, cycles, shot.plant.site.ball_x, estimated=True)
     figures = {column: getattr(shot.record.shot, column) for column in DELIVERY}
@@ -106,7 +104,7 @@ def course_of_record(name: str, shot: RecordedShot) -> SwingCourse:
 
 def course_of_profile(plant: PlantParameters, profile: Profile) -> SwingCourse:
     """Return the planned course of `profile` on `plant`."""
-    rows = np.isin(profile.phases, _SWING)
+    rows = np.isin(profile.phases, SWINGING)
     time: Array = np.flatnonzero(rows).astype(float) * profile.period
     unknown = np.full((len(time), 9), nan)
     return SwingCourse(

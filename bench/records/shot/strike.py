@@ -26,6 +26,10 @@ from sim.robot import RobotParameters
 
 Cycles = np.ndarray[Any, Any]
 
+TO_BALL = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT)
+SWINGING = (Phase.BACKSWING, Phase.TOP, *TO_BALL, Phase.FOLLOW_THROUGH)
+"""Phases of the swing itself, without the way to the address and back."""
+
 
 def ball_struck(cycles: Cycles) -> bool:
     """Return whether a ball was on the tee until the head arrived, by the sensor there."""
@@ -36,7 +40,6 @@ def ball_struck(cycles: Cycles) -> bool:
     return bool(cycles["ball_present"][swung][0] and not cycles["ball_present"][after][-1])
 
 
-_DOWN = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT)
 _EARLIEST_CONTACT = 0.004
 """How far (m) before the ball's position an off-centre strike may begin."""
 
@@ -53,7 +56,7 @@ def time_at_ball(
     follow the cubic through both angles and both velocities; across the impact, where velocities jump, the
     last record before it is carried on with its own velocity and acceleration.
     """
-    down = cycles[np.isin(cycles["phase"], _DOWN)]
+    down = cycles[np.isin(cycles["phase"], TO_BALL)]
     if len(down) < 3:
         return None
     source = "" if estimated or not np.isfinite(down["plant_angle"]).all() else "plant_"
