@@ -154,9 +154,9 @@ class PageService:
         """Take, renew or release the lease."""
         match asked.body.get("action"):
             case "take":
-                return self._leases.take(asked.text("holder", MAX_HOLDER_LENGTH))._asdict()
+                return self._leases.take(asked.text("holder", MAX_HOLDER_LENGTH))
             case "renew":
-                return {"seconds": self._leases.renew(asked.ticket)}
+                return self._leases.renew(asked.ticket)
             case "release":
                 return self._leases.release(asked.ticket)
         raise InvalidBody("action: take, renew or release")
@@ -318,15 +318,6 @@ MAX_TICKETS = 16
 """Max number of tickets; the bench gives out one lease at a time, older tickets are of lost leases."""
 
 
-class PageLease(NamedTuple):
-    """A lease of one tab."""
-
-    ticket: str
-    holder: str
-    seconds: float
-    """Duration from each renewal, s."""
-
-
 class _Held(NamedTuple):
     client: BenchClient
     until: float
@@ -343,8 +334,8 @@ class PageLeases:
         self._held: dict[str, _Held] = {}
         self._lock = Lock()
 
-    def take(self, holder: str) -> PageLease:
-        """Take the bench's lease for `holder`; raises as `BenchClient.take_lease`."""
+    def take(self, holder: str) -> dict[str, Any]:
+        """Take the bench's lease for `holder`; return its ticket. Raises as `BenchClient.take_lease`."""
         client = self._connect()
         client.take_lease(holder, LEASE)
         ticket = secrets.token_urlsafe(24)
@@ -354,9 +345,9 @@ class PageLeases:
             while len(self._held) >= MAX_TICKETS:
                 del self._held[next(iter(self._held))]
             self._held[ticket] = _Held(client, now + LEASE)
-        return PageLease(ticket, holder, LEASE)
+        return {"ticket": ticket, "holder": holder, "seconds": LEASE}
 
-    def renew(self, ticket: str) -> float:
+    def renew(self, ticket: str) -> dict[str, Any]:
         """Renew the lease for LEASE from now; return its seconds. Raises as `BenchClient.renew_lease`."""
         client = self.client(ticket)
         try:
@@ -367,9 +358,9 @@ class PageLeases:
         with self._lock:
             if ticket in self._held:
                 self._held[ticket] = _Held(client, self._clock() + seconds)
-        return seconds
+        return {"seconds": seconds}
 
-    def release(self, ticket: str) -> dict[str, float]:
+    def release(self, ticket: str) -> dict[str, Any]:
         """Release the lease; an armed bench disarms. Return its seconds: 0."""
         client = self.client(ticket)
         self._forget(ticket)
