@@ -66,12 +66,11 @@ class CampaignArchive:
         if not is_there(self._url):
             return []
         with self.store() as store:
-            found = [
-                (entry, standing_now(self.data_dir, entry.id, standing), counts)
-                for entry, standing, counts in [
-                    row for row in store.entries() if search in f"{row[0].id} {row[0].title}".casefold()
-                ][:MAX_LISTED]
-            ]
+            rows = [row for row in store.entries() if search in f"{row[0].id} {row[0].title}".casefold()]
+        found = [
+            (entry, standing_now(self.data_dir, entry.id, standing), counts)
+            for entry, standing, counts in rows[:MAX_LISTED]
+        ]
         folder = self.data_dir / "campaigns"
         return [
             {
@@ -130,17 +129,10 @@ def _open_prompt(prompts: list[Prompt]) -> Prompt | None:
 
 
 def _prompt(prompts: list[Prompt]) -> dict[str, Any] | None:
-    prompt = _open_prompt(prompts)
-    if prompt is None:
+    if (prompt := _open_prompt(prompts)) is None:
         return None
-    balls = balls_of(prompt)
-    return {
-        "number": prompt.number,
-        "before_shot": prompt.before_shot,
-        "kind": prompt.kind,
-        "text": prompt.text,
-        "places": places(balls),
-    }
+    fields = ("number", "before_shot", "kind", "text")
+    return {name: getattr(prompt, name) for name in fields} | {"places": places(balls_of(prompt))}
 
 
 def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
@@ -148,15 +140,10 @@ def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
     if not shots:
         return []
     mine = [shot for shot in shots if shot.section == shots[-1].section]
+    fields = ("column", "shots", "values", "centre", "sd")
     return [
-        {
-            "column": chart.column,
-            "shots": list(chart.shots),
-            "values": list(chart.values),
-            "centre": chart.centre,
-            "sd": chart.sd,
-            "signals": sorted({shot for signal in chart.signals for shot in signal.shots}),
-        }
+        {name: getattr(chart, name) for name in fields}
+        | {"signals": sorted({shot for signal in chart.signals for shot in signal.shots})}
         for chart in control_charts(plan, mine)
     ]
 
@@ -324,9 +311,9 @@ class CampaignService:
             case _ if name not in REQUESTS:
                 raise UnknownName("request")
         asked.once(fresh=name == "resume")  # the robot moves then
-        state, data_dir = self._archive.state(campaign), self._archive.data_dir
+        data_dir = self._archive.data_dir
         if name == "resume" and not is_running(data_dir, campaign):
-            if state in ENDED:
+            if (state := self._archive.state(campaign)) in ENDED:
                 expected, action = "an unfinished campaign", "Begin a new one."
                 raise Refused(f"campaign {campaign}", str(state), expected, action)
             more = ["--ask"] if asked.body.get("ask") is True else []
