@@ -103,7 +103,6 @@ _UNCHANGED = (
     "vented",
     "guard_closed",
     "uptime",
-    "last_stop",
 )
 
 

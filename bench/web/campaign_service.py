@@ -77,7 +77,6 @@ class CampaignArchive:
                 "id": entry.id,
                 "title": entry.title,
                 "date": entry.date.isoformat(timespec="seconds"),
-                "simulated": entry.simulated,
                 "state": str(standing.state),
                 "reason": standing.reason,
                 "shots": sum(counts.values()),
@@ -131,7 +130,7 @@ def _open_prompt(prompts: list[Prompt]) -> Prompt | None:
 def _prompt(prompts: list[Prompt]) -> dict[str, Any] | None:
     if (prompt := _open_prompt(prompts)) is None:
         return None
-    fields = ("number", "before_shot", "kind", "text")
+    fields = ("number", "text")
     return {name: getattr(prompt, name) for name in fields} | {"places": places(balls_of(prompt))}
 
 
@@ -187,7 +186,6 @@ def _landing(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
                 "long": one.long_axis,
                 "short": one.short_axis,
                 "tilt": one.tilt,
-                "area": one.area,
             }
             for one in dispersion_ellipses(plan, mine)
         ]
