@@ -78,8 +78,8 @@ def time_at_ball(
     spline = CubicHermiteSpline(times, angles, velocities)
     start = max(0, last - 60)
     fine = np.linspace(times[start], times[-1], 50 * (len(times) - start))
-    short = forward_kinematics(robot, spline(fine))[:, 0] <= ball_x
-    return float(fine[np.flatnonzero(short)[-1]])
+    short = np.flatnonzero(forward_kinematics(robot, spline(fine))[:, 0] <= ball_x)
+    return float(fine[short[-1]]) if len(short) else None
 
 
 SPEED, PLACE = 0.012, 0.015
