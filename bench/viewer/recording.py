@@ -32,7 +32,7 @@ from bench.records.telemetry.atomic_file import NotStored, atomic_path
 from bench.records.telemetry.cycle_record import FIELDS
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
 from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
-from bench.viewer.record_files import ExportRecord
+from bench.viewer.export_files import ExportRecord
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import ShotSeries
 from bench.viewer.signals import (

@@ -15,7 +15,7 @@ from bench.commands.common.progress import progress_bar
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bench.viewer.record_files import ExportRecord
+    from bench.viewer.export_files import ExportRecord
 
 
 class Format(StrEnum):
@@ -42,7 +42,7 @@ def export(
     mat for MATLAB, mf4 (MDF 4) for CANape and NI.
     """
     from bench.records.telemetry.recorder import record_files
-    from bench.viewer.record_files import read_record
+    from bench.viewer.export_files import read_record
 
     targets = planned(record_files(records), format_, output, force)
     write = _writer(format_)
@@ -86,7 +86,7 @@ def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
     """Return what writes `format_`; only its own library is imported."""
     match format_:
         case Format.CSV:
-            from bench.viewer.record_files import write_csv
+            from bench.viewer.export_files import write_csv
 
             return write_csv
         case Format.RRD:
@@ -94,14 +94,14 @@ def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
 
             return write_rrd
         case Format.MCAP:
-            from bench.viewer.record_files import write_mcap
+            from bench.viewer.export_files import write_mcap
 
             return write_mcap
         case Format.MAT:
-            from bench.viewer.record_files import write_mat
+            from bench.viewer.export_files import write_mat
 
             return write_mat
         case Format.MF4:
-            from bench.viewer.record_files import write_mf4
+            from bench.viewer.export_files import write_mf4
 
             return write_mf4

@@ -24,7 +24,7 @@ from bench.base.lifecycle import Phase, State
 from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
 from bench.records.telemetry.recorder import write_swing
-from bench.viewer.record_files import (
+from bench.viewer.export_files import (
     ExportRecord,
     changes,
     cycle_schema,
