@@ -203,7 +203,7 @@ def _writable(path: Path) -> Path:
 def _window(stack: ExitStack, where: _Where) -> RerunWindow:
     from bench.viewer.window import RerunWindow
 
-    return stack.enter_context(RerunWindow("web" if where.web else "window"))
+    return stack.enter_context(RerunWindow(web=where.web))
 
 
 def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:

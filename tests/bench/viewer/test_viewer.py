@@ -117,9 +117,9 @@ class Watched:
 
     def swing(self, cycles: Cycles, plant: PlantParameters) -> None:
         """Send a swing, then its shot as the recorder publishes it."""
-        self.send(cycles)
         now, around = datetime.now(UTC), FlightConditions()
-        shot = shot_of_cycles(cycles, plant, around, number=1, time_utc=now).shot
+        shot = shot_of_cycles(cycles, plant, around, number=1, time_utc=now).shot  # compiles for long
+        self.send(cycles)
         shown = len(self.view.shots.records)
         self.bench.tell("shot", version=1, shot=shot_to_json(shot))
         self.until(lambda: len(self.view.shots.records) > shown)
