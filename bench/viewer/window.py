@@ -186,7 +186,9 @@ class RerunWindow:
     """A viewer that runs until closed by its user or at the end of a `with`."""
 
     def __init__(self, *, web: bool) -> None:
-        """Start the viewer, for a browser or on the screen, and wait until it listens, at free ports; beyond MEMORY old data are dropped.
+        """Start the viewer, for a browser or on the screen, and wait until it listens, at free ports.
+
+        Beyond MEMORY old data are dropped.
 
         Raises:
             BenchError: there is no screen.
