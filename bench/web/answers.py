@@ -162,8 +162,9 @@ REPORT: tuple[str, dict[str, str]] = (
 """Media type and content policy of a report, a page with its own style and without scripts."""
 
 _RECORD = re.compile(r"[0-9TZ]{8,40}-[0-9]{1,12}\.parquet")
-_CAMPAIGN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
-_SHOT = re.compile(r"(?P<campaign>[A-Za-z0-9][A-Za-z0-9._-]{0,120})\.(?P<file>[0-9]{1,12}\.parquet)")
+PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
+"""Names of campaigns and commissionings, as folders have them."""
+_SHOT = re.compile(rf"(?P<campaign>{PLAIN_NAME.pattern})\.(?P<file>[0-9]{{1,12}}\.parquet)")
 
 
 class Download(NamedTuple):
@@ -220,7 +221,7 @@ class Downloads:
 
     def report(self, campaign: str) -> Path | None:
         """Return the report of `campaign`; None if it does not exist."""
-        if not _CAMPAIGN.fullmatch(campaign):
+        if not PLAIN_NAME.fullmatch(campaign):
             return None
         folder = self._campaigns / campaign
         return None if folder.is_symlink() else plain_file(folder / "report.html")

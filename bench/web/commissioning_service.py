@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -19,7 +18,7 @@ from typing import Any
 from bench.base.errors import BenchError, Refused
 from bench.commissioning.commissioning import ALL_STEPS, STATE_FILE, Commissioning, read_state
 from bench.commissioning.folder_lock import commissioning_process
-from bench.web.answers import REPORT, Asked, Download, plain_file
+from bench.web.answers import PLAIN_NAME, REPORT, Asked, Download, plain_file
 from bench.web.command_line import BackgroundCommand, CommandLine
 from bench.web.start_service import is_toml_to_name
 
@@ -28,8 +27,6 @@ MAX_LISTED = 10
 MAX_ROBOTS = 100
 FILES = {"report": "report.html", "robot": "robot.toml"}
 """Files of a commissioning by their names on the page."""
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 
 
 class CommissioningStore:
@@ -99,7 +96,7 @@ class CommissioningStore:
 
 
 def _is_one(path: Path) -> bool:
-    plain = bool(_NAME.fullmatch(path.name)) and not path.is_symlink()
+    plain = bool(PLAIN_NAME.fullmatch(path.name)) and not path.is_symlink()
     return plain and plain_file(path / STATE_FILE) is not None
 
 
