@@ -54,33 +54,7 @@ from bench.records.telemetry.cycle_record import (
     to_arrow,
     unit_of,
 )
-from bench.records.telemetry.recorder import read_swing
-
-
-class ExportRecord(NamedTuple):
-    """Contents of a record's file."""
-
-    path: Path
-    cycles: np.ndarray[Any, Any]
-    """Records of CYCLE."""
-    metadata: dict[str, Any]
-
-    @property
-    def begin_utc(self) -> float:
-        """UTC time of the columns' zero, s since 1970; 0 if the record has none."""
-        start = self.metadata.get("time_utc")
-        if not isinstance(start, str) or not len(self.cycles):
-            return 0.0
-        return datetime.fromisoformat(start).timestamp() - float(self.cycles["time"][0])
-
-
-def read_record(path: Path) -> ExportRecord:
-    """Return the record at `path`.
-
-    Raises:
-        BenchError: it is missing, damaged or no record.
-    """
-    return ExportRecord(path, *read_swing(path))
+from bench.records.telemetry.recorder import SwingRecord
 
 
 class Change(NamedTuple):
@@ -105,7 +79,7 @@ def changes(cycles: np.ndarray[Any, Any]) -> Iterator[Change]:
 _TYPES = {"double": "number", "int64": "integer", "int32": "integer", "uint8": "integer", "bool": "boolean"}
 
 
-def write_csv(path: Path, record: ExportRecord) -> list[Path]:
+def write_csv(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and its metadata next to it; return both paths.
 
     Raises:
@@ -120,7 +94,7 @@ def write_csv(path: Path, record: ExportRecord) -> list[Path]:
     return [path, beside]
 
 
-def _metadata(path: Path, record: ExportRecord, schema: pa.Schema) -> dict[str, Any]:
+def _metadata(path: Path, record: SwingRecord, schema: pa.Schema) -> dict[str, Any]:
     described = [
         {
             "name": field.name,
@@ -138,7 +112,7 @@ def _metadata(path: Path, record: ExportRecord, schema: pa.Schema) -> dict[str, 
     }
 
 
-def write_mat(path: Path, record: ExportRecord) -> list[Path]:
+def write_mat(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and return it.
 
     Raises:
@@ -164,7 +138,7 @@ def write_mat(path: Path, record: ExportRecord) -> list[Path]:
 _COMMENT = "<EVcomment><TX>{}</TX><tool>golfbench</tool></EVcomment>"
 
 
-def write_mf4(path: Path, record: ExportRecord) -> list[Path]:
+def write_mf4(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and return it.
 
     Raises:
@@ -239,7 +213,7 @@ Schema = dict[str, Any]
 _LEVELS = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 
 
-def write_mcap(path: Path, record: ExportRecord) -> list[Path]:
+def write_mcap(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and the layout next to it; return both paths.
 
     Raises:
@@ -310,7 +284,7 @@ def _property(field: Field) -> Schema:
     return {"type": "object", "description": field.text, "properties": inner}
 
 
-def _messages(record: ExportRecord) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
+def _messages(record: SwingRecord) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
     """Yield topic, time (ns), sequence and content of all messages."""
     cycles = record.cycles
     # Two parts: seconds since 1970 have no nanoseconds in a double.

@@ -30,9 +30,9 @@ from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.records.telemetry.atomic_file import NotStored, atomic_path
 from bench.records.telemetry.cycle_record import FIELDS
+from bench.records.telemetry.recorder import SwingRecord
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
 from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
-from bench.viewer.export_files import ExportRecord
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import ShotSeries
 from bench.viewer.signals import (
@@ -167,7 +167,7 @@ def write_recording(
         log_shots(recording, records, plant, golfer=golfer)
 
 
-def write_rrd(path: Path, record: ExportRecord) -> list[Path]:
+def write_rrd(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and return it.
 
     Raises:

@@ -15,7 +15,7 @@ from bench.commands.common.progress import progress_bar
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bench.viewer.export_files import ExportRecord
+    from bench.records.telemetry.recorder import SwingRecord
 
 
 class Format(StrEnum):
@@ -41,15 +41,14 @@ def export(
     csv stores its units in NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (with a layout file),
     mat for MATLAB, mf4 (MDF 4) for CANape and NI.
     """
-    from bench.records.telemetry.recorder import record_files
-    from bench.viewer.export_files import read_record
+    from bench.records.telemetry.recorder import SwingRecord, read_swing, record_files
 
     targets = planned(record_files(records), format_, output, force)
     write = _writer(format_)
     with progress_bar() as progress:
         task = progress.add_task("exporting", total=len(targets))
         for source, target in targets:
-            written = write(target, read_record(source))
+            written = write(target, SwingRecord(source, *read_swing(source)))
             progress.advance(task)
             typer.echo("\n".join(map(str, written)))
 
@@ -82,7 +81,7 @@ def planned(
     return targets
 
 
-def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
+def _writer(format_: Format) -> Callable[[Path, SwingRecord], list[Path]]:
     """Return what writes `format_`; only its own library is imported."""
     match format_:
         case Format.CSV:

@@ -72,6 +72,22 @@ def write_swing(path: Path, cycles: Cycles, metadata: Mapping[str, Any]) -> None
         )
 
 
+class SwingRecord(NamedTuple):
+    """A swing's record, as it is stored."""
+
+    path: Path
+    cycles: Cycles
+    metadata: dict[str, Any]
+
+    @property
+    def begin_utc(self) -> float:
+        """UTC time of the columns' zero, s since 1970; 0 if the record has none."""
+        start = self.metadata.get("time_utc")
+        if not isinstance(start, str) or not len(self.cycles):
+            return 0.0
+        return datetime.fromisoformat(start).timestamp() - float(self.cycles["time"][0])
+
+
 def read_swing(path: Path) -> tuple[Cycles, dict[str, Any]]:
     """Return the cycles (records of CYCLE, bit for bit as written) and the metadata stored in `path`.
 

@@ -23,12 +23,10 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
 from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
-from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.recorder import SwingRecord, read_swing, write_swing
 from bench.viewer.export_files import (
-    ExportRecord,
     changes,
     cycle_schema,
-    read_record,
     write_csv,
     write_mat,
     write_mcap,
@@ -41,7 +39,7 @@ BEGIN = "2026-11-01T09:30:00+00:00"
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int], Cycles]) -> ExportRecord:
+def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int], Cycles]) -> SwingRecord:
     """A record with awkward values: no pressure sensors, large counts, non-terminating fractions."""
     cycles = make_swing(3)[700:1000].copy()
     cycles["chamber_pressure"] = np.nan
@@ -50,7 +48,7 @@ def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int],
     cycles["angle"][1] = [1 / 3, 1e-300, -0.0]
     path = tmp_path_factory.mktemp("records") / "007.parquet"
     write_swing(path, cycles, {"number": 7, "time_utc": BEGIN, "profile": {"name": "default"}})
-    return read_record(path)
+    return SwingRecord(path, *read_swing(path))
 
 
 def equal(a: Cycles, b: Cycles) -> bool:
@@ -60,7 +58,7 @@ def equal(a: Cycles, b: Cycles) -> bool:
     )
 
 
-def test_csv_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
+def test_csv_read_back_equals_record(tmp_path: Path, record: SwingRecord) -> None:
     path, beside = write_csv(tmp_path / "007.csv", record)
     options = pc.ConvertOptions(column_types=arrow_schema(), null_values=[])
     assert equal(from_arrow(pc.read_csv(path, convert_options=options)), record.cycles)
@@ -77,7 +75,7 @@ def test_csv_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> No
     assert described["golfbench"] == record.metadata
 
 
-def test_mat_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
+def test_mat_read_back_equals_record(tmp_path: Path, record: SwingRecord) -> None:
     (path,) = write_mat(tmp_path / "007.mat", record)
     read = loadmat(path, simplify_cells=True)
     back = np.zeros(len(record.cycles), CYCLE)
@@ -101,7 +99,7 @@ def read_mcap(path: Path) -> dict[str, list[tuple[Any, Any, Any]]]:
     return found
 
 
-def test_mcap_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_read_back_equals_record(tmp_path: Path, record: SwingRecord) -> None:
     path, _ = write_mcap(tmp_path / "007.mcap", record)
     back, times, properties = np.zeros(len(record.cycles), CYCLE), [], {}
     for n, (schema, message, row) in enumerate(read_mcap(path)["/cycle"]):
@@ -123,7 +121,7 @@ def test_mcap_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> N
     assert np.abs(steps).max() <= 1
 
 
-def test_mcap_contains_log(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_contains_log(tmp_path: Path, record: SwingRecord) -> None:
     path, _ = write_mcap(tmp_path / "007.mcap", record)
     log = read_mcap(path)["/log"]
     assert log[0][0].name == "foxglove.Log"
@@ -131,7 +129,7 @@ def test_mcap_contains_log(tmp_path: Path, record: ExportRecord) -> None:
     assert [row["message"] for _, _, row in log] == [change.text for change in changes(record.cycles)]
 
 
-def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: SwingRecord) -> None:
     path, layout = write_mcap(tmp_path / "007.mcap", record)
     read, topics = json.loads(layout.read_text()), read_mcap(path)
     panels = read["configById"]
@@ -152,7 +150,7 @@ def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: Ex
     assert panels["RosOut!log"]["topicToRender"] in topics
 
 
-def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record: ExportRecord) -> None:
+def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record: SwingRecord) -> None:
     (path,) = write_mf4(tmp_path / "007.mf4", record)
     cycles = record.cycles
     with asammdf.MDF(path) as file:
@@ -172,14 +170,14 @@ def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record
 
 
 def test_mf4_without_asammdf_names_package(
-    tmp_path: Path, record: ExportRecord, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, record: SwingRecord, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(BenchError, match="golfbench\\[mdf\\]"):
         write_mf4(tmp_path / "007.mf4", record)
 
 
-def test_record_opens_in_duckdb_and_polars(record: ExportRecord) -> None:
+def test_record_opens_in_duckdb_and_polars(record: SwingRecord) -> None:
     """Names in addition to numbers, and units in the file's own metadata."""
     path, phases = record.path, record.cycles["phase"]
     with duckdb.connect() as connection:
@@ -200,7 +198,7 @@ def test_record_opens_in_duckdb_and_polars(record: ExportRecord) -> None:
 
 
 @pytest.mark.requires("octave")
-def test_mat_opens_in_octave(tmp_path: Path, record: ExportRecord, tool: Callable[[str], str]) -> None:
+def test_mat_opens_in_octave(tmp_path: Path, record: SwingRecord, tool: Callable[[str], str]) -> None:
     (path,) = write_mat(tmp_path / "007.mat", record)
     script = f"load('{path}'); printf('%s %.17g', units.angle, cycles.angle(2, 1))"
     done = subprocess.run(
@@ -210,7 +208,7 @@ def test_mat_opens_in_octave(tmp_path: Path, record: ExportRecord, tool: Callabl
     assert (unit, float(value)) == ("rad", record.cycles["angle"][1, 0])
 
 
-def test_rrd_holds_every_field_unchanged(tmp_path: Path, record: ExportRecord) -> None:
+def test_rrd_holds_every_field_unchanged(tmp_path: Path, record: SwingRecord) -> None:
     (path,) = write_rrd(tmp_path / "007.rrd", record)
     values: dict[str, Any] = {}
     units: dict[str, str] = {}
@@ -235,7 +233,7 @@ def test_rrd_holds_every_field_unchanged(tmp_path: Path, record: ExportRecord) -
     assert np.array_equal(times["angle"], expected)
 
 
-def test_rrd_passes_rerun_verify(tmp_path: Path, record: ExportRecord) -> None:
+def test_rrd_passes_rerun_verify(tmp_path: Path, record: SwingRecord) -> None:
     (path,) = write_rrd(tmp_path / "007.rrd", record)
     check = [sys.executable, "-m", "rerun", "rrd", "verify", str(path)]
     done = subprocess.run(check, capture_output=True, text=True, check=False, timeout=100)
@@ -268,7 +266,7 @@ def assert_readable(schema: dict[str, Any], value: Any) -> None:
         assert type(value) is python
 
 
-def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: SwingRecord) -> None:
     path, _ = write_mcap(tmp_path / "007.mcap", record)
     for rows in read_mcap(path).values():
         for schema, _, content in rows:
@@ -277,7 +275,7 @@ def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: ExportR
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
 def test_export_missing_folder_raises_not_stored(
-    write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord
+    write: Callable[[Path, SwingRecord], list[Path]], record: SwingRecord
 ) -> None:
     with pytest.raises(NotStored):
         write(Path("/nonexistent/x"), record)
@@ -285,7 +283,7 @@ def test_export_missing_folder_raises_not_stored(
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
 def test_export_record_without_cycles_writes_file(
-    write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord, tmp_path: Path
+    write: Callable[[Path, SwingRecord], list[Path]], record: SwingRecord, tmp_path: Path
 ) -> None:
     for path in write(tmp_path / "empty", record._replace(cycles=record.cycles[:0])):
         assert path.stat().st_size > 0
