@@ -174,7 +174,8 @@ async def _serve(
         ssl_cert_reqs=ssl.CERT_OPTIONAL if address.tokens else ssl.CERT_REQUIRED,
     )
     server, loop = uvicorn.Server(config), asyncio.get_running_loop()
-    server.capture_signals = nullcontext  # type: ignore[method-assign, assignment] - they are the page's
+    # Signals are the page's own.
+    server.capture_signals = nullcontext  # type: ignore[method-assign, assignment]
 
     def end() -> None:
         server.should_exit = True
