@@ -20,7 +20,7 @@ ROOMS = (
     "bench.records.telemetry.recorder",
     "bench.records.telemetry.batches",
     "bench.records.telemetry.swing_metadata",
-    "bench.viewer.export",
+    "bench.viewer.export_files",
     "bench.campaign.statistics.analysis",
     "bench.campaign.report.campaign_report",
     "bench.campaign.run.runner_control",

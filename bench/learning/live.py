@@ -18,12 +18,13 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Answer, Cause, Request
 from bench.learning.delivery import UNKNOWN, figures_from
 from bench.learning.learn import LearningProblem, ObservedSwing
-from bench.network.bench_operator import BenchOperator, SwingRecord
+from bench.network.bench_operator import BenchOperator
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
 from bench.network.status_words import launch_monitor_text
 from bench.records.shot.recorded_shot import plant_of
 from bench.records.shot.shot_message import launch_from_json
+from bench.records.telemetry.recorder import SwingRecord
 from bench.swing.correction import digest_of
 from bench.swing.correction_terms import Source
 from bench.swing.profile import Profile

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from bench.base.lifecycle import Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.records.shot.shot_message import ShotPublication
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.recorder import SwingRecord, read_swing
 from drivers.launch_monitor.matching import MatchOutcome
 
 LEASE = 15.0
@@ -38,14 +38,6 @@ _RESETS = 3
 """Max number of automatic resets of a simulated bench before one swing."""
 _LASTING = frozenset({Refusal.READ_ONLY, Refusal.BLOCKED, Refusal.CORRECTION})
 """Refusals that last until a person has calibrated, learned again or restarted the bench."""
-
-
-class SwingRecord(NamedTuple):
-    """A swing's record, as the bench stored it."""
-
-    path: Path
-    cycles: np.ndarray[Any, Any]
-    metadata: dict[str, Any]
 
 
 class NoShot(Refused):

@@ -30,8 +30,13 @@ from bench.network.command import (
 from bench.network.lease import DEFAULT_SECONDS, MAX_SECONDS, MIN_SECONDS
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import SHOT_VERSION, ShotPublication
-from bench.records.telemetry.cycle_record import FIELDS, MAX_BATCH_CYCLES, SCHEMA_VERSION, unit_of
-from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.records.telemetry.cycle_record import (
+    ENUMERATIONS,
+    FIELDS,
+    MAX_BATCH_CYCLES,
+    SCHEMA_VERSION,
+    unit_of,
+)
 from drivers.launch_monitor.matching import MatchOutcome
 
 LOOP_VERSION = 1

@@ -23,8 +23,7 @@ from bench.control.settings import (
 from bench.loop.loop import Cycles
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.shot.recorded_shot import FlightConditions
-from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
 from bench.records.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads

@@ -42,7 +42,7 @@ from bench.network.status_words import LATCHED, MOVING, block_text
 from bench.network.zenoh_session import close_session, open_daemon
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication
-from bench.records.telemetry.shot_id import run_id
+from bench.records.telemetry.swing_metadata import run_id
 from bench.supervisor.child import Child, ManagedProcess
 from bench.supervisor.correction import CORRECTED_FILE
 from bench.supervisor.loop_link import LoopLink

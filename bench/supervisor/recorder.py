@@ -4,7 +4,7 @@ Plan: a pickled RecorderPlan on stdin. Output on stdout, one JSON line each:
 
 `ready`      the ring is open and the folder is writable
 `stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`,
-             `warnings`: what drifts from swing to swing, see `bench.records.shot.swing_drift`;
+             `warnings`: what drifts from swing to swing, see `bench.records.shot.strike`;
              `tick`: at which the swing began; `shot`: its row of the shot table if the plan asks for it
 `fault`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
 `recovered`   records can be stored again
@@ -28,13 +28,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet  # noqa: F401 - now, not at the first record of a running bench
 
 from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import Cause, State
-from bench.records.shot.ball_struck import ball_struck
 from bench.records.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
-from bench.records.shot.swing_drift import DriftMonitor, strike_seen
-from bench.records.telemetry.record_queue import (
+from bench.records.shot.strike import DriftMonitor, ball_struck, strike_seen
+from bench.records.telemetry.recorder import (
     QueuedRecord,
     RecordQueue,
     folder_fault,
@@ -43,7 +43,7 @@ from bench.records.telemetry.record_queue import (
 )
 from bench.records.telemetry.ring import RingReader
 from bench.records.telemetry.swing_cutter import Cycles, RecordSegment, SwingSegmenter
-from bench.records.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
+from bench.records.telemetry.swing_metadata import begin_of, profile_entry, run_entries, since, swing_metadata
 from bench.supervisor.child_process import (
     Condition,
     HeartbeatSender,
@@ -128,15 +128,15 @@ class Recorder:
                 cannot be written as JSON.
         """
         self._plan = plan
-        self._entries = RunMetadata(
-            plan.bench,
-            plan.run,
+        self._entries = run_entries(
             plan.profile,
-            plan.configuration,
-            plan.versions,
-            plan.real_time,
-            plan.calibrations,
-        ).entries()
+            bench=plan.bench,
+            run=plan.run,
+            configuration=plan.configuration,
+            versions=plan.versions,
+            real_time=plan.real_time,
+            calibrations=plan.calibrations,
+        )
         self._basis = plan.basis
         self._heartbeat = HeartbeatSender(plan.heartbeat)
         self._ring = RingReader(plan.ring, from_oldest=True)

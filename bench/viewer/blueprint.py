@@ -63,8 +63,7 @@ def shot_blueprint(swing: Span, end: float) -> rrb.Blueprint:
             _robot(), rrb.Horizontal(_flight(), _figures(), column_shares=[1.75, 1]), row_shares=[1.8, 1]
         ),
         rrb.Vertical(
-            *_joint_signals(window),
-            _series(window, "Speed of club head and ball, m/s", True, *_SPEEDS),
+            *_joint_signals(window), _series(window, "Speed of club head and ball, m/s", True, *_SPEEDS)
         ),
         share=1.55,
         played=Span(swing.start, end),

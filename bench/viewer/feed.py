@@ -8,6 +8,7 @@ that counts from 1 again was restarted, which is not a loss.
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Self
@@ -16,7 +17,7 @@ import zenoh
 
 from bench.base.errors import BenchError
 from bench.base.json_schema import json_object
-from bench.network.zenoh_session import close_session, open_client
+from bench.network.zenoh_session import close_session
 from bench.records.telemetry.batches import Batch, decode_batch
 
 TOPICS = ("telemetry", "state", "event", "shot", "loop")
@@ -65,11 +66,9 @@ class FeedCounts(NamedTuple):
 class Feed:
     """A subscription to all messages of a bench."""
 
-    def __init__(
-        self, session: zenoh.Session, bench: str, clock: Callable[[], float], topics: Sequence[str] = TOPICS
-    ) -> None:
-        """Subscribe to `topics` on `session`, closed with the feed; `clock` returns UTC (s since 1970)."""
-        self._session, self._clock = session, clock
+    def __init__(self, session: zenoh.Session, bench: str, topics: Sequence[str] = TOPICS) -> None:
+        """Subscribe to `topics` on `session`, closed with the feed."""
+        self._session = session
         self._batches: deque[tuple[float, bytes]] = deque(maxlen=_MAX_BATCHES)
         self._others: deque[tuple[str, bytes]] = deque(maxlen=_MAX_OTHERS)
         self._arrived = threading.Event()
@@ -84,25 +83,11 @@ class Feed:
             for topic in topics
         ]
 
-    @classmethod
-    def connect(cls, network: Any, bench: str, clock: Callable[[], float]) -> Self:
-        """Connect to the daemon of `bench`.
-
-        Raises:
-            NoAnswer: the daemon cannot be reached.
-        """
-        return cls(open_client(network, bench), bench, clock)
-
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def connected(self) -> bool:
-        """Whether a daemon is connected; whether it is alive shows in its messages."""
-        return bool(self._session.info.peers_zid() or self._session.info.routers_zid())
 
     def take(self, timeout: float) -> News:
         """Return received messages; wait up to `timeout` s for the first telemetry or event."""
@@ -114,7 +99,7 @@ class Feed:
             try:
                 batch = decode_batch(payload)
             except BenchError as error:
-                self._count_invalid(error)
+                self.count_invalid(str(error))
                 continue
             self._count(batch)
             batches.append(Arrived(batch, at))
@@ -135,13 +120,14 @@ class Feed:
 
     def count_invalid(self, what: str) -> None:
         """Count a message with invalid content."""
-        self._count_invalid(ValueError(what))
+        self.account = self.account._replace(invalid=self.account.invalid + 1)
+        self.fault = what
 
     def _receiver(self, topic: str) -> Callable[[zenoh.Sample], None]:
         """Return the callback of zenoh's thread, which neither blocks nor raises."""
 
         def telemetry(sample: zenoh.Sample) -> None:
-            self._batches.append((self._clock(), sample.payload.to_bytes()))
+            self._batches.append((time.time(), sample.payload.to_bytes()))
             self._arrived.set()
 
         def other(sample: zenoh.Sample) -> None:
@@ -162,7 +148,3 @@ class Feed:
             restarts=a.restarts + restarted,
         )
         self._sequence, self._ring_lost = batch.sequence, batch.lost
-
-    def _count_invalid(self, error: Exception) -> None:
-        self.account = self.account._replace(invalid=self.account.invalid + 1)
-        self.fault = str(error)

@@ -1,7 +1,9 @@
 """Swings as a Rerun recording: robot motion, ball flight, and all signals on one time axis.
 
 The swings follow one another on `bench_time`; the figures of the shots are also on a separate timeline,
-`shot`. `log_shots` logs to any recording stream, `write_recording` to a file.
+`shot`. `log_shots` logs to any recording stream, `write_recording` to a file. An export (`write_rrd`) also
+has every field of the record in its own unit: below `record/`, a row a cycle on `bench_time`; each entity
+carries its unit and description, and the record's metadata are properties of the recording.
 
 A measured golfer next to the robot is a stick figure with club, joint angles and head speed on the same
 clock. The golfer's plane is turned into the robot's swing plane, and the head's position at the ball is the
@@ -10,11 +12,12 @@ ball's: only the difference of the motions remains.
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import rerun as rr
@@ -22,16 +25,18 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from bench.golfer.golfer_file import GolferSwing
-from bench.records.shot.head_path import path_to_ball
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.recorded_shot import recorded_shot
+from bench.records.shot.shot import ShotRecord
+from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.records.telemetry.atomic_file import NotStored, atomic_path
+from bench.records.telemetry.cycle_record import FIELDS
+from bench.records.telemetry.recorder import SwingRecord
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
 from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import ShotSeries
 from bench.viewer.signals import (
     COLOURS,
-    SWINGING,
     Array,
     Times,
     bench_time,
@@ -158,14 +163,40 @@ def write_recording(
     """
     if not records:
         raise ValueError("a recording needs at least one shot")
-    with writing_recording(path, records, name) as recording:
+    with _writing(path, records, name) as recording:
         log_shots(recording, records, plant, golfer=golfer)
 
 
+def write_rrd(path: Path, record: SwingRecord) -> list[Path]:
+    """Write `record` to `path` and return it.
+
+    Raises:
+        NotStored: it cannot be stored.
+        ExceptionGroup: one BenchError for each value of its configuration that this program rejects.
+    """
+    shot = recorded_shot(record.cycles, record.metadata, str(record.path))
+    with _writing(path, [shot.record], str(record.path)) as recording:
+        log_shots(recording, [shot.record], shot.plant)
+        metadata = {key: json.dumps(value) for key, value in record.metadata.items()}
+        recording.send_property("golfbench", rr.AnyValues(**cast(Any, metadata)))
+        if len(record.cycles):
+            _log_fields(recording, record.cycles)
+    return [path]
+
+
+def _log_fields(recording: rr.RecordingStream, cycles: np.ndarray[Any, Any]) -> None:
+    time = bench_time(cycles["time"] - cycles["time"][0])
+    for field in FIELDS:
+        entity = f"record/{field.name}"
+        rows = cycles[field.name].astype(float).reshape(len(cycles), len(field.columns))
+        send_scalars(recording, entity, time, rows)
+        names = rr.SeriesLines(names=list(field.components or (field.name,)))
+        facts = rr.AnyValues(unit=field.unit, description=field.text)
+        recording.log(entity, names, facts, static=True)
+
+
 @contextmanager
-def writing_recording(
-    path: Path, records: Sequence[ShotRecord], name: str = ""
-) -> Iterator[rr.RecordingStream]:
+def _writing(path: Path, records: Sequence[ShotRecord], name: str) -> Iterator[rr.RecordingStream]:
     """Yield a recording for `records`; its file is created completely or not at all. Raises NotStored."""
     with atomic_path(path) as partial:
         layout = layout_for(records)
@@ -252,7 +283,4 @@ def _log_shot(
 
 def impact_time(record: ShotRecord, plant: PlantParameters) -> float | None:
     """Return the time (s of the record) at which the head is at the ball's place, None if it never is."""
-    if not len(record.cycles):
-        return None
-    path = path_to_ball(plant.robot, record.cycles, plant.site.ball_x, 0.1)
-    return None if path is None else float(path.time[-1])
+    return time_at_ball(plant.robot, record.cycles, plant.site.ball_x)

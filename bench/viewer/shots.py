@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import ceil, floor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
 
-from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
 from bench.viewer.signals import COLOURS, Array, Colour, Times, send_scalars
 
 _YARD, _MPH = 0.9144, 0.44704
@@ -79,27 +78,13 @@ class ShotSeries:
         shot = f"range/shots/{record.shot.shot:03d}"
         number = [rr.TimeColumn("shot", sequence=[record.shot.shot])]
         sparse = np.unique(np.append(np.arange(0, len(path), 4), len(path) - 1))
-        recording.send_columns(
-            f"{shot}/path",
-            times(np.array([struck])) + number,
-            rr.LineStrips3D.columns(strips=[path[sparse, 1:]]),
-        )
-        recording.log(
-            f"{shot}/path",
-            rr.LineStrips3D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.5)),
-            static=True,
-        )
+        line = rr.LineStrips3D.columns(strips=[path[sparse, 1:]])
+        style = rr.LineStrips3D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.5))
+        _show(recording, f"{shot}/path", times(np.array([struck])) + number, line, style)
         down = min(int(np.searchsorted(path[:, 0], flight.time)), len(path) - 1)
-        recording.send_columns(
-            f"{shot}/landing",
-            times(np.array([landed])) + number,
-            rr.Points3D.columns(positions=path[down, 1:][None]),
-        )
-        recording.log(
-            f"{shot}/landing",
-            rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(4.0)),
-            static=True,
-        )
+        point = rr.Points3D.columns(positions=path[down, 1:][None])
+        dot = rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(4.0))
+        _show(recording, f"{shot}/landing", times(np.array([landed])) + number, point, dot)
 
     def _log_dispersion(self, recording: rr.RecordingStream, times: Times, at: float) -> None:
         """Log the landing points of all valid shots, with two standard deviations per ball."""
@@ -115,20 +100,16 @@ class ShotSeries:
             shown = mine * [1.0, -1.0]
             entity = f"dispersion/{_entity(ball)}"
             dots = rr.Points2D.columns(positions=shown, labels=numbers).partition([len(shown)])
-            recording.send_columns(f"{entity}/shots", now, dots)
-            style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=False)
-            recording.log(f"{entity}/shots", style, static=True)
+            _show(recording, f"{entity}/shots", now, dots, _dot(colour, 5.0, labels=False))
             key = corner + unit * np.array([0.5, 0.06 + 0.08 * location])
-            words = f"{ball}: {mine[:, 1].mean():.1f} m, {len(mine)} shots"
-            recording.send_columns(f"{entity}/key", now, rr.Points2D.columns(positions=[key], labels=[words]))
-            style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=True)
-            recording.log(f"{entity}/key", style, static=True)
+            words = rr.Points2D.columns(
+                positions=[key], labels=[f"{ball}: {mine[:, 1].mean():.1f} m, {len(mine)} shots"]
+            )
+            _show(recording, f"{entity}/key", now, words, _dot(colour, 5.0, labels=True))
             if len(mine) >= _MIN_FOR_ELLIPSE:
-                recording.send_columns(
-                    f"{entity}/two_sigma", now, rr.LineStrips2D.columns(strips=[_ellipse(shown)])
-                )
+                ellipse = rr.LineStrips2D.columns(strips=[_ellipse(shown)])
                 line = rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.25))
-                recording.log(f"{entity}/two_sigma", line, static=True)
+                _show(recording, f"{entity}/two_sigma", now, ellipse, line)
 
     def _log_text(
         self, recording: rr.RecordingStream, times: Times, shot: Shot, start: float, struck: float | None
@@ -142,6 +123,18 @@ class ShotSeries:
             [*times(np.array(at)), rr.TimeColumn("shot", sequence=[shot.shot] * len(at))],
             rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(at)),
         )
+
+
+def _show(
+    recording: rr.RecordingStream, entity: str, times: list[rr.TimeColumn], columns: Any, style: Any
+) -> None:
+    """Log `columns` at `times` in a constant `style`."""
+    recording.send_columns(entity, times, columns)
+    recording.log(entity, style, static=True)
+
+
+def _dot(colour: Colour, size: float, *, labels: bool) -> rr.Points2D:
+    return rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(size), show_labels=labels)
 
 
 def _figures_only(record: ShotRecord) -> ShotRecord:
@@ -310,22 +303,12 @@ def _log_grid(recording: rr.RecordingStream, now: list[rr.TimeColumn], points: A
     across, along = np.arange(near, far + 1, _GRID), np.arange(left, right + 1, _GRID)
     lines = [[(left, -y), (right, -y)] for y in across] + [[(x, -near), (x, -far)] for x in along]
     strips = rr.LineStrips2D.columns(strips=lines).partition([len(lines)])
-    recording.send_columns("dispersion/grid", now, strips)
-    recording.log(
-        "dispersion/grid",
-        rr.LineStrips2D.from_fields(colors=_LINE, radii=rr.Radius.ui_points(0.5), draw_order=-2.0),
-        static=True,
-    )
+    style = rr.LineStrips2D.from_fields(colors=_LINE, radii=rr.Radius.ui_points(0.5), draw_order=-2.0)
+    _show(recording, "dispersion/grid", now, strips, style)
     marks = np.array([(left, -y) for y in across[1:-1]] + [(x, -near) for x in along[1::2]])
     words = [f"{y:.0f} m" for y in across[1:-1]] + [f"{abs(x):.0f} m {_side(x)}" for x in along[1::2]]
-    recording.send_columns(
-        "dispersion/marks", now, rr.Points2D.columns(positions=marks, labels=words).partition([len(marks)])
-    )
-    recording.log(
-        "dispersion/marks",
-        rr.Points2D.from_fields(colors=_TEXT, radii=rr.Radius.ui_points(1.0), show_labels=True),
-        static=True,
-    )
+    texts = rr.Points2D.columns(positions=marks, labels=words).partition([len(marks)])
+    _show(recording, "dispersion/marks", now, texts, _dot(_TEXT, 1.0, labels=True))
     return np.array([left, -far]), far - near
 
 

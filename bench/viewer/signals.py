@@ -27,9 +27,6 @@ Times = Callable[[Array], list[rr.TimeColumn]]
 
 TIMELINE = "bench_time"
 
-SWINGING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
-"""Phases of the swing itself, without the way to the address and back."""
-
 COLOURS: tuple[Colour, ...] = (
     (0, 114, 178),
     (213, 94, 0),

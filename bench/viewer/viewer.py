@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,17 +20,16 @@ from bench.records.shot.recorded_shot import (
     FlightConditions,
     flight_of,
     shot_from_json,
-    shot_of_cycles,
     warm_up_shots,
 )
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import ShotRecord
+from bench.records.shot.strike import SWINGING
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.drawing.drawing import ball_at_rest
 from bench.viewer.feed import Arrived, Feed
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball
 from bench.viewer.signals import (
-    SWINGING,
     TIMELINE,
     Array,
     Cycles,
@@ -117,8 +115,6 @@ _AGES = 1500
 """Number of ages for the percentiles: a minute of turns."""
 _BINS, _BIN = 50, 5.0
 """Number and width (us) of the bars of the latency histogram."""
-_MAX_SWING_CYCLES = 30_000
-"""Max cycles of a swing kept for its figures."""
 _LEVELS = {"loop died": "CRITICAL", "exception": "ERROR"}
 
 
@@ -163,11 +159,10 @@ class LiveView:
         bench: str,
         plant: PlantParameters,
         around: FlightConditions,
-        clock: Any = time.time,
     ) -> None:
-        """Log the static scene; `clock` returns UTC (s since 1970)."""
+        """Log the static scene."""
         self._recording, self._feed, self._bench = recording, feed, bench
-        self._plant, self._around, self._clock = plant, around, clock
+        self._plant, self._around = plant, around
         self.axis = ViewClock()
         self.to_subscriber, self.to_rerun = Ages(), Ages()
         """Ages from a tick to its arrival here, and to its acceptance by Rerun."""
@@ -177,10 +172,9 @@ class LiveView:
         self._codes: dict[str, int] = {}
         self._trace: Array | None = None
         self._latency = np.zeros(_BINS, dtype=np.int64)
-        self._swing: list[Cycles] = []
-        self._swing_start = 0.0
-        self._reported_shots = False
-        self._last_struck: float | None = None
+        self._swinging, self._swing_start = False, 0.0
+        self._struck: float | None = None
+        """Time of the impact in the last swing; None before, and once its shot is shown."""
         self._flying: MovingBall | None = None
         self._heard = -np.inf
         self._shown = self._counted = self._limited = -np.inf
@@ -200,7 +194,7 @@ class LiveView:
             document(self._recording, "bench", self._times(self._at(now)), self._text(now))
         if cycles:
             self._recording.flush(timeout_sec=2.0)
-            self.to_rerun.add(self._clock() - news.batches[-1].batch.time)
+            self.to_rerun.add(time.time() - news.batches[-1].batch.time)
         return cycles
 
     # Messages ------------------------------------------------------------------------------------
@@ -243,7 +237,7 @@ class LiveView:
     def _show_hole(self, at: float) -> None:
         """Interrupt all lines where cycles are missing."""
         self._trace, self._limited = None, -np.inf
-        self._swing.clear()
+        self._swinging = False
         location = self._times(np.array([at - 1e-4]))
         for name, values in signals_of(np.zeros(1, CYCLE), self._plant).items():
             send_scalars(self._recording, f"signals/{name}", location, np.full_like(values, np.nan))
@@ -261,49 +255,21 @@ class LiveView:
             self._recording.reset_time()
 
     def _follow_swing(self, cycles: Cycles, at: Array) -> None:
-        """Collect the cycles of a swing; show its figures at its end, unless the bench publishes shots."""
+        """Put the ball on the tee when a swing starts; keep the time of its impact."""
         swinging = np.isin(cycles["phase"], SWINGING)
-        if swinging.any():
-            if not self._swing:
-                self._swing_start = float(at[int(np.argmax(swinging))])
-                log_ball(self._recording, self._times, np.array([self._swing_start]), self._ball[None])
-            self._swing.append(cycles)
-            if sum(map(len, self._swing)) > _MAX_SWING_CYCLES:
-                self._swing.clear()
-        if self._swing and not swinging[-1]:
-            swung = np.concatenate([part.view(np.uint8) for part in self._swing]).view(cycles.dtype)
-            self._swing.clear()
-            self._last_struck = self._struck(swung)
-            if not self._reported_shots and not self._has_monitor:
-                self._show_swing(swung)
+        if swinging.any() and not self._swinging:
+            self._swing_start, self._struck = float(at[int(np.argmax(swinging))]), None
+            log_ball(self._recording, self._times, np.array([self._swing_start]), self._ball[None])
+        self._swinging = bool(swinging[-1])
+        if self._struck is None and len(gone := np.flatnonzero(cycles["phase"] == Phase.IMPACT)):
+            self._struck = float(at[gone[0]])
 
-    @property
-    def _has_monitor(self) -> bool:
-        """Whether the bench has a launch monitor, whose figures arrive seconds after the swing."""
-        return self._status is not None and self._status.get("launch_monitor") is not None
-
-    def _show_swing(self, cycles: Cycles) -> None:
-        """Show the shot computed from a swing's cycles."""
-        number = len(self.shots.records) + 1
-        record = shot_of_cycles(
-            cycles,
-            self._plant,
-            self._around,
-            number=number,
-            time_utc=datetime.fromtimestamp(self._clock(), UTC),
-        )
-        self._show_shot(record, self._struck(cycles))
-
-    def _struck(self, cycles: Cycles) -> float | None:
-        """Return the time of the impact on the time axis, s."""
-        gone = np.flatnonzero(cycles["phase"] == Phase.IMPACT)
-        return self.axis.of_loop(float(cycles["time"][gone[0]])) if len(gone) else None
-
-    def _show_shot(self, record: ShotRecord, struck: float | None) -> None:
-        """Show a shot with impact at `struck` (s, None for now). The trajectory is shown as it proceeds."""
+    def _show_shot(self, record: ShotRecord) -> None:
+        """Show a shot, whose trajectory proceeds from the impact of the last swing, or from now on."""
         now = self.axis.now
         start = min(self._swing_start or now, now)
-        struck = None if record.flight is None else now if struck is None else min(struck, now)
+        struck = None if record.flight is None else min(self._struck or now, now)
+        self._struck = None
         self.shots.log_shot(self._recording, self._times, record, start, struck, latest=now)
         if struck is not None and record.flight is not None:
             flown = moving_ball(record, struck)
@@ -336,10 +302,8 @@ class LiveView:
                 except BenchError as error:
                     self._feed.count_invalid(str(error))
                     return
-                self._reported_shots = True
-                record = ShotRecord(shot, np.zeros(0, CYCLE), flight_of(shot, self._plant, self._around))
-                # A launch monitor reports late: the ball's launch time is the swing's impact.
-                self._show_shot(record, self._last_struck if message.get("outcome") else None)
+                flight = flight_of(shot, self._plant, self._around)
+                self._show_shot(ShotRecord(shot, np.zeros(0, CYCLE), flight))
             case "shot" if (outcome := message.get("outcome")) is not None:  # of a launch, not of a swing
                 launch = message.get("launch")
                 device = launch.get("device", "") if isinstance(launch, Mapping) else ""

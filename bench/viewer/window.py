@@ -21,7 +21,7 @@ import time
 from collections.abc import Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Literal, Self
+from typing import Self
 from urllib.parse import quote
 
 from bench.base.errors import BenchError, ExitCode
@@ -119,9 +119,6 @@ class ViewerPage:
         self._thread.join()
 
 
-Kind = Literal["window", "web", "headless"]
-"""On the screen, for a browser, or without display for screenshots."""
-
 MEMORY = "2GB"
 """Memory of the viewer."""
 _START = 30.0
@@ -188,14 +185,16 @@ def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str,
 class RerunWindow:
     """A viewer that runs until closed by its user or at the end of a `with`."""
 
-    def __init__(self, kind: Kind, memory: str = MEMORY) -> None:
-        """Start the viewer and wait until it listens, at free ports; beyond `memory` old data are dropped.
+    def __init__(self, *, web: bool) -> None:
+        """Start the viewer, for a browser or on the screen, and wait until it listens, at free ports.
+
+        Beyond MEMORY old data are dropped.
 
         Raises:
             BenchError: there is no screen.
             ViewerFailed: it does not start.
         """
-        if kind == "window" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        if not web and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             expected, action = "one for the viewer's window", "Use --web and a browser, or --save FILE."
             raise BenchError("screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", expected, action)
         self._page: ViewerPage | None = None
@@ -205,15 +204,13 @@ class RerunWindow:
             environment = quiet_environment(folder, os.environ)
             environment.setdefault("XDG_RUNTIME_DIR", str(folder))
             self.port = free_port()
-            source_port = free_port() if kind == "web" else None
+            source_port = free_port() if web else None
             arguments = ["--bind", LOOPBACK, "--port", str(self.port), "--hide-welcome-screen"]
             if source_port is not None:
                 arguments += ["--serve-web", "--web-viewer-port", str(source_port)]
-                arguments += ["--server-memory-limit", memory]
+                arguments += ["--server-memory-limit", MEMORY]
             else:
-                arguments += ["--memory-limit", memory]
-            if kind == "headless":
-                arguments += ["--headless"]
+                arguments += ["--memory-limit", MEMORY]
             self._said = (folder / "said").open("w+b")
             self._process = subprocess.Popen(
                 [str(rerun_program()), *arguments],

@@ -1,4 +1,4 @@
-"""The page's connection to its bench: retried until there is one, followed in separate threads.
+"""The page's connection to its bench: retried until there is one, followed in a separate thread.
 
 It receives the bench's publications and asks with `BenchClient`, so it can do no more than that client.
 Commands are sent once: after a lost connection nothing is repeated. The page gets the state as words for the
@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any
 
@@ -104,7 +103,6 @@ _UNCHANGED = (
     "vented",
     "guard_closed",
     "uptime",
-    "last_stop",
 )
 
 
@@ -157,66 +155,47 @@ _RETRY = 0.5
 """Time between two attempts to connect, s."""
 _TAKE = 0.25
 """Max time without a look whether the link is to end, s."""
-_CAMPAIGNS = 1.0
-"""Period of the question for running campaigns, s."""
 
 _log = logging.getLogger("golfbench")
 
 
 class BenchLink:
-    """Follows one bench and passes on its publications; `close` ends its threads."""
+    """Follows one bench and passes on its publications; `close` ends its thread."""
 
     def __init__(
         self,
         network: NetworkSettings,
         bench: str,
         publish: Callable[[str, Any], None],
-        clock: Callable[[], float] = time.monotonic,
+        on_swing: Callable[[bool], None],
+        on_shot: Callable[[dict[str, Any]], None],
     ) -> None:
-        """Pass messages as topic and content to `publish`, which may be called from several threads."""
-        self.bench, self._network, self._publish, self._clock = bench, network, publish, clock
+        """Pass messages as topic and content to `publish`, those about shots to `on_shot`.
+
+        `on_swing` is called at each state in a swing (True) and once after it (False). All are called in the
+        link's thread.
+        """
+        self.bench, self._network, self._publish = bench, network, publish
+        self._on_swing, self._on_shot = on_swing, on_shot
         self._session: zenoh.Session | None = None
         self._lock, self._ended = Lock(), Event()
         self._heard_at = -float("inf")
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
         self._state = ""
-        self._swing_watchers: list[Callable[[bool], None]] = []
-        self._shot_watchers: list[Callable[[dict[str, Any]], None]] = []
-        self._campaign_watchers: list[Callable[[list[dict[str, Any]]], None]] = []
-        self._threads = [
-            Thread(target=self._follow, name="page-bench", daemon=True),
-            Thread(target=self._ask_campaigns, name="page-campaigns", daemon=True),
-        ]
+        self._thread = Thread(target=self._follow, name="page-bench", daemon=True)
 
     def start(self) -> None:
         """Begin to connect and follow."""
-        for thread in self._threads:
-            thread.start()
+        self._thread.start()
 
     def close(self) -> None:
-        """End the connection and the threads."""
+        """End the connection and the thread."""
         self._ended.set()
-        for thread in self._threads:
-            thread.join()
-
-    def watch_shots(self, watcher: Callable[[dict[str, Any]], None]) -> None:
-        """Call `watcher` with each message about a shot, in the link's thread; before `start`."""
-        self._shot_watchers.append(watcher)
-
-    def watch_swings(self, watcher: Callable[[bool], None]) -> None:
-        """Call `watcher` at each state in a swing (True) and once after it (False); before `start`.
-
-        It is called in the link's thread.
-        """
-        self._swing_watchers.append(watcher)
-
-    def watch_campaigns(self, watcher: Callable[[list[dict[str, Any]]], None]) -> None:
-        """Call `watcher` every second with the running campaigns, in a thread of the link; before `start`."""
-        self._campaign_watchers.append(watcher)
+        self._thread.join()
 
     def silence(self) -> float:
         """Return the time since the bench's newest state, s; infinite before the first."""
-        return self._clock() - self._heard_at
+        return time.monotonic() - self._heard_at
 
     def client(self) -> BenchClient:
         """Return a client without a lease on the open connection; not to be closed.
@@ -237,7 +216,7 @@ class BenchLink:
             except BenchError:
                 self._ended.wait(_RETRY)
                 continue
-            with Feed(session, self.bench, time.time, TOPICS) as feed:
+            with Feed(session, self.bench, TOPICS) as feed:
                 with self._lock:
                     self._session = session
                 try:
@@ -253,40 +232,20 @@ class BenchLink:
         try:
             if topic == "state":
                 view = state_view(checked_status(content))
-                self._heard_at = self._clock()
+                self._heard_at = time.monotonic()
                 self._publish("state", view | {"seen": self._heard_at})
                 before, self._state = self._state, view["state"]
                 if State.SWINGING.name in (before, self._state):
-                    for swing_watcher in self._swing_watchers:
-                        swing_watcher(self._state == State.SWINGING.name)
+                    self._on_swing(self._state == State.SWINGING.name)
             elif topic == "event":
                 self._events.append(
                     content | {"at_utc": datetime.now(UTC).isoformat(timespec="milliseconds")}
                 )
                 self._publish("events", list(self._events))
             elif topic == "shot":
-                for watcher in self._shot_watchers:
-                    watcher(content)
+                self._on_shot(content)
             else:
                 self._publish(topic, content)
         except (BenchError, KeyError, TypeError, ValueError) as error:
             feed.count_invalid(str(error))
             _log.warning("page: invalid message on %s: %s", topic, error)
-
-    def _ask_campaigns(self) -> None:
-        while not self._ended.wait(_CAMPAIGNS):
-            try:
-                running = self.client().campaigns()
-            except BenchError:
-                continue
-            except Exception as error:  # zenoh's own, when the session closes meanwhile
-                _log.debug("page: campaigns: %s", error)
-                continue
-            for watcher in self._campaign_watchers:
-                watcher(running)
-
-
-def record_of(message: dict[str, Any]) -> Path | None:
-    """Return the path of the stored record that a `message` about a shot names first; None otherwise."""
-    record, outcome = message.get("record"), message.get("outcome")
-    return Path(record) if isinstance(record, str) and outcome is None else None

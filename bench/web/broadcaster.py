@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Iterator, Mapping
+import logging
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from threading import Lock
+from threading import Event, Lock, Thread
 from typing import Any
 
 from bench.web.request_filter import Receive, Scope, Send
@@ -105,8 +106,42 @@ def event_text(topic: str, content: Any) -> bytes:
     return f"event: {topic}\ndata: {json.dumps(content, allow_nan=False)}\n\n".encode()
 
 
-SEND_TIME = 10.0
-"""Max time for a reader to take a message, s; then its connection ends."""
+_PERIOD = 1.0
+"""Period of the looks, s."""
+
+_log = logging.getLogger("golfbench")
+
+
+class TopicPoller:
+    """Publishes contents that have changed; a separate thread looks at them every second."""
+
+    def __init__(self, broadcaster: PageBroadcaster, looks: Mapping[str, Callable[[], Any]]) -> None:
+        """`looks` return the content by topic; one that raises is called again."""
+        self._broadcaster, self._looks, self._ended = broadcaster, looks, Event()
+        self._thread = Thread(target=self._work, name="page-poller", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._ended.set()
+        self._thread.join()
+
+    def _work(self) -> None:
+        shown: dict[str, Any] = {}
+        while not self._ended.is_set():
+            for topic, look in self._looks.items():
+                try:
+                    content = look()
+                except Exception as error:  # no bench, a folder that goes meanwhile, a session that closes
+                    _log.debug("page: %s: %s", topic, error)
+                    continue
+                if topic not in shown or content != shown[topic]:
+                    self._broadcaster.publish(topic, content)
+                    shown[topic] = content
+            self._ended.wait(_PERIOD)
 
 
 class EventStream:
@@ -117,15 +152,13 @@ class EventStream:
         self._broadcaster, self._first = broadcaster, event_text("you", first)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send until the reader goes, stops taking messages, or the server ends."""
+        """Send until the reader goes or the server ends; the kernel ends one that takes no messages."""
         try:
             with self._broadcaster.reader() as reader:
                 await self._serve(reader, receive, send)
         except TooManyReaders:
             await send({"type": "http.response.start", "status": 503, "headers": []})
             await send({"type": "http.response.body", "body": b"Too many open pages: close some."})
-        except TimeoutError:
-            scope.get("state", {}).get("abort", lambda: None)()
 
     async def _serve(self, reader: PageReader, receive: Receive, send: Send) -> None:
         gone = asyncio.create_task(_watch(receive, reader))
@@ -134,8 +167,7 @@ class EventStream:
             await send({"type": "http.response.start", "status": 200, "headers": headers})
             message: bytes | None = self._first
             while message is not None:
-                async with asyncio.timeout(SEND_TIME):
-                    await send({"type": "http.response.body", "body": message, "more_body": True})
+                await send({"type": "http.response.body", "body": message, "more_body": True})
                 message = await reader.take()
             if not gone.done():
                 await send({"type": "http.response.body", "body": b""})

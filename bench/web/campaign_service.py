@@ -28,9 +28,8 @@ from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
 from bench.store.records import ENDED, MAX_COMMENT_LENGTH, CampaignState, Prompt, ShotNote
-from bench.web.answers import Asked, InvalidBody, UnknownName
+from bench.web.answers import MAX_RECORDS, REPORT, Asked, Download, Downloads, InvalidBody, UnknownName
 from bench.web.command_line import BackgroundCommand, CommandLine
-from bench.web.downloads import MAX_RECORDS, REPORT, Download, Downloads
 from bench.web.last_swing import swing_view
 
 MAX_LISTED = 50
@@ -43,13 +42,19 @@ class CampaignArchive:
     """The campaigns of one bench on this machine."""
 
     def __init__(self, configuration: Configuration) -> None:
-        self._settings = configuration.bench
-        self._url = database_url(self._settings.database, self._settings.data_dir)
+        bench = configuration.bench
+        self._bench, self.data_dir = bench.id, bench.data_dir
+        self._url = database_url(bench.database, bench.data_dir)
 
     @contextmanager
-    def _store(self) -> Iterator[CampaignStore]:
+    def store(self) -> Iterator[CampaignStore]:
+        """Yield the opened database.
+
+        Raises:
+            Refused: there is none on this computer.
+        """
         if not is_there(self._url):
-            location, expected = f"bench {self._settings.id}", "the database on the bench's computer"
+            location, expected = f"bench {self._bench}", "the database on the bench's computer"
             raise Refused(
                 location, "no campaigns on this computer", expected, "Use the page of that computer."
             )
@@ -60,27 +65,25 @@ class CampaignArchive:
         """Return the newest campaigns whose id or title has `search`; empty without a database."""
         if not is_there(self._url):
             return []
-        with self._store() as store:
-            found = [
-                (entry, standing_now(self._settings.data_dir, entry.id, standing), counts)
-                for entry, standing, counts in [
-                    row for row in store.entries() if search in f"{row[0].id} {row[0].title}".casefold()
-                ][:MAX_LISTED]
-            ]
-        folder = self._settings.data_dir / "campaigns"
+        with self.store() as store:
+            rows = [row for row in store.entries() if search in f"{row[0].id} {row[0].title}".casefold()]
+        found = [
+            (entry, standing_now(self.data_dir, entry.id, standing), counts)
+            for entry, standing, counts in rows[:MAX_LISTED]
+        ]
+        folder = self.data_dir / "campaigns"
         return [
             {
                 "id": entry.id,
                 "title": entry.title,
                 "date": entry.date.isoformat(timespec="seconds"),
-                "simulated": entry.simulated,
                 "state": str(standing.state),
                 "reason": standing.reason,
                 "shots": sum(counts.values()),
                 "valid": counts[ShotStatus.VALID],
                 "report": (folder / entry.id / "report.html").is_file(),
                 "ended": standing.state in ENDED,
-                "runner": standing.state not in ENDED and is_running(self._settings.data_dir, entry.id),
+                "runner": standing.state not in ENDED and is_running(self.data_dir, entry.id),
             }
             for entry, standing, counts in found
         ]
@@ -91,9 +94,9 @@ class CampaignArchive:
         Raises:
             BenchError: no such campaign.
         """
-        with self._store() as store:
+        with self.store() as store:
             standing = store.standing(store.entry(campaign).id)
-        return standing_now(self._settings.data_dir, campaign, standing).state
+        return standing_now(self.data_dir, campaign, standing).state
 
     def detail(self, campaign: str) -> dict[str, Any]:
         """Return prompt, control charts and, after its end, landing points of `campaign`.
@@ -101,13 +104,13 @@ class CampaignArchive:
         Raises:
             BenchError: there is no such campaign here.
         """
-        with self._store() as store:
+        with self.store() as store:
             entry = store.entry(campaign)
             plan = plan_from_record(entry.plan, f"campaign {entry.id}")
             taken = [stored.shot for stored in store.shots(entry.id)]
             shots = with_exclusions(taken, store.exclusions(entry.id))
             prompts = store.prompts(entry.id)
-            state = standing_now(self._settings.data_dir, entry.id, store.standing(entry.id)).state
+            state = standing_now(self.data_dir, entry.id, store.standing(entry.id)).state
         return {
             "campaign": entry.id,
             "title": entry.title,
@@ -116,47 +119,8 @@ class CampaignArchive:
             "charts": _charts(plan, shots),
             "interim": None if state in ENDED else _interim(plan, shots),
             "landing": _landing(plan, shots) if state in ENDED else None,
-            "runner": is_running(self._settings.data_dir, entry.id),
+            "runner": is_running(self.data_dir, entry.id),
         }
-
-    def has_runner(self, campaign: str) -> bool:
-        """Return whether a process runs `campaign`; raises as `state`."""
-        self.state(campaign)
-        return is_running(self._settings.data_dir, campaign)
-
-    def request(self, campaign: str, name: str, by: str) -> str:
-        """Pass the request `name` of REQUESTS by `by` on to the runner; return what will happen.
-
-        Raises:
-            BenchError: no such campaign, it is over, or it has no runner.
-        """
-        with self._store() as store:
-            entry = store.entry(campaign)
-            return ask(store, self._settings.data_dir, entry.id, REQUESTS[name], by)
-
-    def answer(self, campaign: str, prompt: int, by: str, balls: int | None) -> str:
-        """Confirm that prompt number `prompt` is done, by `by` with so many loaded `balls`; return its text.
-
-        Raises:
-            BenchError: this prompt does not wait, or the number of balls is not the requested one.
-        """
-        with self._store() as store:
-            entry = store.entry(campaign)
-            waiting = _open_prompt(store.prompts(entry.id))
-            if waiting is None or waiting.number != prompt:
-                location, found = f"campaign {entry.id}", "this prompt does not wait any more"
-                raise Refused(location, found, "the prompt that waits", "Read the present prompt.")
-            now = datetime.now(UTC)
-            return answer(store, self._settings.data_dir, entry.id, by, now, balls)[0]
-
-    def mark(self, campaign: str, shot: int, by: str, comment: str) -> None:
-        """Mark `shot` with a `comment` of `by`.
-
-        Raises:
-            BenchError: there is no such campaign or shot.
-        """
-        with self._store() as store:
-            store.add_note(store.entry(campaign).id, ShotNote(shot, datetime.now(UTC), by, comment))
 
 
 def _open_prompt(prompts: list[Prompt]) -> Prompt | None:
@@ -164,17 +128,10 @@ def _open_prompt(prompts: list[Prompt]) -> Prompt | None:
 
 
 def _prompt(prompts: list[Prompt]) -> dict[str, Any] | None:
-    prompt = _open_prompt(prompts)
-    if prompt is None:
+    if (prompt := _open_prompt(prompts)) is None:
         return None
-    balls = balls_of(prompt)
-    return {
-        "number": prompt.number,
-        "before_shot": prompt.before_shot,
-        "kind": prompt.kind,
-        "text": prompt.text,
-        "places": places(balls),
-    }
+    fields = ("number", "text")
+    return {name: getattr(prompt, name) for name in fields} | {"places": places(balls_of(prompt))}
 
 
 def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
@@ -182,15 +139,10 @@ def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
     if not shots:
         return []
     mine = [shot for shot in shots if shot.section == shots[-1].section]
+    fields = ("column", "shots", "values", "centre", "sd")
     return [
-        {
-            "column": chart.column,
-            "shots": list(chart.shots),
-            "values": list(chart.values),
-            "centre": chart.centre,
-            "sd": chart.sd,
-            "signals": sorted({shot for signal in chart.signals for shot in signal.shots}),
-        }
+        {name: getattr(chart, name) for name in fields}
+        | {"signals": sorted({shot for signal in chart.signals for shot in signal.shots})}
         for chart in control_charts(plan, mine)
     ]
 
@@ -234,7 +186,6 @@ def _landing(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
                 "long": one.long_axis,
                 "short": one.short_axis,
                 "tilt": one.tilt,
-                "area": one.area,
             }
             for one in dispersion_ellipses(plan, mine)
         ]
@@ -248,29 +199,25 @@ class RunningCampaigns:
     def __init__(self, archive: CampaignArchive) -> None:
         self._archive = archive
         self._details: dict[str, tuple[Any, dict[str, Any] | None]] = {}
-        self._shown: list[dict[str, Any]] | None = None
 
-    def changed(self, running: list[dict[str, Any]]) -> list[dict[str, Any]] | None:
-        """Return what to show of the `running` campaigns; None if that is as it was."""
-        shown = [{"progress": message, "detail": self._detail(message)} for message in running]
-        if shown == self._shown:
-            return None
-        self._shown = shown
-        self._details = {
-            str(message.get("campaign")): self._details[str(message.get("campaign"))] for message in running
-        }
-        return shown
+    def view(self, running: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Return what to show of the `running` campaigns; details are read again when a message changed."""
+        self._details = {(name := _name_of(one)): self._detail(name, one) for one in running}
+        return [{"progress": one, "detail": self._details[_name_of(one)][1]} for one in running]
 
-    def _detail(self, message: dict[str, Any]) -> dict[str, Any] | None:
-        """Return the detail of a campaign, read again when its message has changed; None if not here."""
-        name, key = str(message.get("campaign")), [message.get(part) for part in ("shots", "state", "reason")]
-        known = self._details.get(name)
-        if known is None or known[0] != key:
-            try:
-                self._details[name] = key, self._archive.detail(name)
-            except (BenchError, ExceptionGroup, OSError):
-                self._details[name] = key, None
-        return self._details[name][1]
+    def _detail(self, name: str, message: dict[str, Any]) -> tuple[Any, dict[str, Any] | None]:
+        """Return what the detail of campaign `name` depends on, and the detail; None if it is not here."""
+        key = [message.get(part) for part in ("shots", "state", "reason")]
+        if (known := self._details.get(name)) is not None and known[0] == key:
+            return known
+        try:
+            return key, self._archive.detail(name)
+        except (BenchError, ExceptionGroup, OSError):
+            return key, None
+
+
+def _name_of(message: dict[str, Any]) -> str:
+    return str(message.get("campaign"))
 
 
 STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
@@ -352,26 +299,39 @@ class CampaignService:
             case "answer":
                 prompt, balls = int(asked.number("prompt")), _count(asked)
                 asked.once(fresh=True)  # the robot moves then
-                return {"note": f"Done: {self._archive.answer(campaign, prompt, by, balls)}"}
+                return {"note": f"Done: {self._answer(campaign, prompt, by, balls)}"}
             case "mark":
                 shot, comment = int(asked.number("shot")), asked.text("comment", MAX_COMMENT_LENGTH, 0)
                 asked.once()
-                self._archive.mark(campaign, shot, by, comment)
+                with self._archive.store() as store:
+                    store.add_note(store.entry(campaign).id, ShotNote(shot, datetime.now(UTC), by, comment))
                 return {"note": f"Shot {shot} marked."}
             case _ if name not in REQUESTS:
                 raise UnknownName("request")
         asked.once(fresh=name == "resume")  # the robot moves then
-        if name == "resume" and not self._archive.has_runner(campaign):
-            return {"note": f"{self._resume(campaign, by, ask=asked.body.get('ask') is True)}."}
-        return {"note": f"{campaign} {self._archive.request(campaign, name, by)}."}
+        data_dir = self._archive.data_dir
+        if name == "resume" and not is_running(data_dir, campaign):
+            if (state := self._archive.state(campaign)) in ENDED:
+                expected, action = "an unfinished campaign", "Begin a new one."
+                raise Refused(f"campaign {campaign}", str(state), expected, action)
+            more = ["--ask"] if asked.body.get("ask") is True else []
+            self._runner.start(campaign, "campaign", "resume", "--json", f"--by={by}", *more, "--", campaign)
+            return {"note": f"{STARTED.format(campaign)}."}
+        with self._archive.store() as store:
+            return {"note": f"{campaign} {ask(store, data_dir, campaign, REQUESTS[name], by)}."}
 
-    def _resume(self, campaign: str, by: str, *, ask: bool) -> str:
-        """Start a runner for a campaign that has none; return what happens."""
-        if (state := self._archive.state(campaign)) in ENDED:
-            raise Refused(f"campaign {campaign}", str(state), "an unfinished campaign", "Begin a new one.")
-        more = ["--ask"] if ask else []
-        self._runner.start(campaign, "campaign", "resume", "--json", f"--by={by}", *more, "--", campaign)
-        return STARTED.format(campaign)
+    def _answer(self, campaign: str, prompt: int, by: str, balls: int | None) -> str:
+        """Confirm that prompt number `prompt` is done, by `by` with so many loaded `balls`; return its text.
+
+        Raises:
+            BenchError: this prompt does not wait, or the number of balls is not the requested one.
+        """
+        with self._archive.store() as store:
+            waiting = _open_prompt(store.prompts(store.entry(campaign).id))
+            if waiting is None or waiting.number != prompt:
+                location, found = f"campaign {campaign}", "this prompt does not wait any more"
+                raise Refused(location, found, "the prompt that waits", "Read the present prompt.")
+            return answer(store, self._archive.data_dir, campaign, by, datetime.now(UTC), balls)[0]
 
 
 def _count(asked: Asked) -> int | None:

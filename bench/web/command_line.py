@@ -82,17 +82,9 @@ class CommandLine:
         with self._lock:
             if self._closed:
                 raise Refused(location, "the page ends", "a running page", "Start the page again.")
-            process = subprocess.Popen(
-                arguments,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                start_new_session=True,
-                env=plain_environment(),
-            )
+            process = spawned(arguments, subprocess.PIPE, subprocess.PIPE)
             self._running.add(process)
         try:
-            lower_priority(process.pid)
             output, said = process.communicate(timeout=COMMAND_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
@@ -105,15 +97,19 @@ class CommandLine:
         return process.returncode, output.decode("utf-8", "replace"), said.decode("utf-8", "replace")
 
 
-def plain_environment() -> dict[str, str]:
-    """Return the page's environment for a command whose errors are read by a program."""
-    return {**os.environ, FOR_PROGRAMS: "json", "NO_COLOR": "1", "TERM": "dumb", "COLUMNS": "400"}
-
-
-def lower_priority(process: int) -> None:
-    """Give `process` the priority NICE, where that is lower than the page's own."""
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, process, max(NICE, os.getpriority(os.PRIO_PROCESS, process)))
+def spawned(arguments: Sequence[str], output: Any, errors: Any) -> subprocess.Popen[bytes]:
+    """Start a program in its own session with the priority NICE, and errors for programs; return it."""
+    process = subprocess.Popen(
+        arguments,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=errors,
+        start_new_session=True,
+        env={**os.environ, FOR_PROGRAMS: "json", "NO_COLOR": "1", "TERM": "dumb", "COLUMNS": "400"},
+    )
+    with suppress(OSError):  # never above the page's own
+        os.setpriority(os.PRIO_PROCESS, process.pid, max(NICE, os.getpriority(os.PRIO_PROCESS, process.pid)))
+    return process
 
 
 def faults_in(text: str) -> list[BenchError]:
@@ -196,21 +192,12 @@ class BackgroundCommand:
         try:
             self._log.parent.mkdir(parents=True, exist_ok=True)
             with self._log.open("wb") as log, self._log.with_suffix(".json").open("wb") as output:
-                process = subprocess.Popen(
-                    arguments,
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=log,
-                    start_new_session=True,
-                    env=plain_environment(),
-                )
+                return spawned(arguments, output, log)
         except OSError as error:
             action = "Look at golfbench doctor."
             raise BenchError(
                 str(self._log), error.strerror or str(error), f"a {self._topic}", action
             ) from error
-        lower_priority(process.pid)
-        return process
 
     def _wait(self, process: subprocess.Popen[bytes], what: str) -> None:
         """Publish how `process` ended."""
@@ -285,15 +272,8 @@ class ViewerProcess:
     def _started(self) -> str:
         """Start the viewer; return the URL that it prints."""
         with TemporaryFile() as said:
-            self._process = process = subprocess.Popen(
-                self._golfbench.arguments("view", "--web"),
-                stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-                env=plain_environment(),
-            )
-            lower_priority(process.pid)
+            arguments = self._golfbench.arguments("view", "--web")
+            self._process = process = spawned(arguments, said, subprocess.STDOUT)
             deadline = time.monotonic() + START
             while True:
                 running = process.poll() is None

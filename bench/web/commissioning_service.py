@@ -8,15 +8,11 @@ configured one are configurations in the folder `robots` there. A request names 
 from __future__ import annotations
 
 import json
-import logging
 import os
-import re
 import signal
-from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from threading import Event, Thread
 from typing import Any
 
 from bench.base.errors import BenchError, Refused
@@ -27,9 +23,8 @@ from bench.commissioning.commissioning import (
     commissioning_process,
     read_state,
 )
-from bench.web.answers import Asked
+from bench.web.answers import PLAIN_NAME, REPORT, Asked, Download, plain_file
 from bench.web.command_line import BackgroundCommand, CommandLine
-from bench.web.downloads import REPORT, Download, plain_file
 from bench.web.start_service import is_toml_to_name
 
 MAX_LISTED = 10
@@ -37,8 +32,6 @@ MAX_LISTED = 10
 MAX_ROBOTS = 100
 FILES = {"report": "report.html", "robot": "robot.toml"}
 """Files of a commissioning by their names on the page."""
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 
 
 class CommissioningStore:
@@ -108,7 +101,7 @@ class CommissioningStore:
 
 
 def _is_one(path: Path) -> bool:
-    plain = bool(_NAME.fullmatch(path.name)) and not path.is_symlink()
+    plain = bool(PLAIN_NAME.fullmatch(path.name)) and not path.is_symlink()
     return plain and plain_file(path / STATE_FILE) is not None
 
 
@@ -203,44 +196,3 @@ class CommissioningService:
 def _wanted(asked: Asked) -> tuple[str, str]:
     """Return the names of robot and resumed commissioning; empty: the configured one, a new one."""
     return asked.text("robot", MAX_FOLDER_LENGTH, 0), asked.text("resume", MAX_FOLDER_LENGTH, 0)
-
-
-TOPIC = "commissioning"
-"""Topic on which the page publishes the commissionings."""
-_LOOK = 1.0
-"""Period of the looks, s."""
-
-_log = logging.getLogger("golfbench")
-
-
-class CommissioningWatch:
-    """Publishes the commissionings of a store whenever one has changed, in a separate thread."""
-
-    def __init__(self, shelf: CommissioningStore, publish: Callable[[str, Any], None]) -> None:
-        """`publish` gets topic and content."""
-        self._shelf, self._publish = shelf, publish
-        self._ended = Event()
-        self._thread = Thread(target=self._work, name="page-commissioning", daemon=True)
-
-    def start(self) -> None:
-        """Begin to look."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """End the thread."""
-        self._ended.set()
-        self._thread.join()
-
-    def _work(self) -> None:
-        shown: dict[str, Any] | None = None
-        while True:
-            try:
-                view = self._shelf.view()
-            except OSError as error:  # a folder that goes while it is read
-                _log.debug("page: commissionings: %s", error)
-            else:
-                if view != shown:
-                    self._publish(TOPIC, view)
-                    shown = view
-            if self._ended.wait(_LOOK):
-                return

@@ -16,7 +16,7 @@ from bench.calibration.calibration import CalibrationKind, in_words
 from bench.config import Configuration, database_url
 from bench.store.air_readings import newest_reading
 from bench.store.database import is_there, open_database
-from bench.web.answers import InvalidBody, text_in
+from bench.web.answers import InvalidBody, number_in, text_in
 
 MAX_NOTE_LENGTH = 200
 MAX_DAYS = 3650
@@ -134,13 +134,11 @@ def described_forms(clubs: list[str]) -> list[dict[str, Any]]:
     """Return the forms for the browser, with the `clubs` of the configuration."""
     return [
         {
+            **form._asdict(),
             "name": name,
-            "title": form.title,
-            "steps": form.steps,
             "fields": [field._asdict() for field in form.fields],
             "joints": _NAMES,
             "clubs": clubs if form.club else [],
-            "lasting": form.lasting,
         }
         for name, form in FORMS.items()
     ]
@@ -189,11 +187,10 @@ def _number(field: FormField, value: Any) -> str:
     Raises:
         InvalidBody: it is no number, or no count where one is expected.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e9:
-        raise InvalidBody(f"{field.name}: a number")
-    if field.whole and value != int(value):
+    number = number_in({field.name: value}, field.name)
+    if field.whole and number != int(number):
         raise InvalidBody(f"{field.name}: a whole number")
-    return str(int(value)) if field.whole else repr(float(value))
+    return str(int(number)) if field.whole else repr(number)
 
 
 def bench_values(configuration: Configuration) -> dict[str, Any]:

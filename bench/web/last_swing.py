@@ -15,15 +15,15 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from queue import Empty, Full, Queue
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.base.lifecycle import Phase, State
+from bench.base.lifecycle import State
 from bench.records.shot.recorded_shot import FlightConditions, recorded_shot, shot_of_cycles, warm_up_shots
 from bench.records.shot.shot import Shot
+from bench.records.shot.strike import SWINGING, TO_BALL
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.ring import NoRing, RingReader
 from drivers.base import ACTUATORS, JOINTS
@@ -47,8 +47,6 @@ FIGURES = (
     "spin_rpm",
     "carry_m",
 )
-_MOVING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
-_TO_BALL = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT)
 
 _log = logging.getLogger("golfbench")
 
@@ -131,7 +129,7 @@ def _view(shot: Shot, cycles: np.ndarray[Any, Any], plant: PlantParameters) -> d
 
 def _drawn(cycles: np.ndarray[Any, Any], plant: PlantParameters) -> dict[str, Any]:
     """Return the ball's position and the curves of a swing's `cycles`; a swing without motion has none."""
-    moving = cycles[np.isin(cycles["phase"], _MOVING)]
+    moving = cycles[np.isin(cycles["phase"], SWINGING)]
     curves = _curves(moving) if len(moving) > 2 else {"path": [], "speed": None, "tracking": None}
     return {"ball_at": [plant.site.ball_x, plant.site.ball_y], **curves}
 
@@ -142,7 +140,7 @@ def _curves(moving: np.ndarray[Any, Any]) -> dict[str, Any]:
     head = moving["head_position"]
     speed = moving["head_speed"]
     error = np.degrees(moving["angle"] - moving["reference_angle"])
-    down = np.isin(moving["phase"], _TO_BALL)
+    down = np.isin(moving["phase"], TO_BALL)
     worst = np.abs(error[down] if down.any() else error).max(axis=0)
     at = np.unique(np.linspace(0, len(moving) - 1, POINTS).astype(int))
     end = int(np.flatnonzero(down)[-1]) if down.any() else len(moving) - 1
@@ -174,12 +172,7 @@ def _finite(value: float | None) -> float | None:
     return float(value) if value is not None and np.isfinite(value) else None
 
 
-class Offer(NamedTuple):
-    """A file that holds a swing."""
-
-    path: Path
-    view: Callable[[Path], dict[str, Any] | None]
-    """Reader of the swing: a record, or the loop's ring during or after it."""
+_Look = Callable[[], dict[str, Any] | None]
 
 
 class SwingReader:
@@ -196,7 +189,8 @@ class SwingReader:
         `plant` and `around` are those of the configuration.
         """
         self._publish, self._plant, self._around = publish, plant, around
-        self._offered: Queue[Offer | None] = Queue(1)
+        self._offered: tuple[Path, _Look] | None = None
+        self._ended, self._changed = False, threading.Condition()
         self._thread = threading.Thread(target=self._work, name="page-swings", daemon=True)
 
     def start(self) -> None:
@@ -205,12 +199,20 @@ class SwingReader:
 
     def close(self) -> None:
         """End after the record that is being read."""
-        self._put(None)
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
         self._thread.join()
 
     def offer(self, path: Path) -> None:
         """Read the record at `path` instead of what still waits."""
-        self._put(Offer(path, swing_view))
+        self._put(path, partial(swing_view, path))
+
+    def offer_shot(self, message: dict[str, Any]) -> None:
+        """Read the stored record that a `message` about a shot names first, if it is on this machine."""
+        record, outcome = message.get("record"), message.get("outcome")
+        if isinstance(record, str) and outcome is None and Path(record).is_file():
+            self.offer(Path(record))
 
     def offer_ring(self, ring: Path, *, running: bool = False) -> None:
         """Read the swing that has ended from `ring` instead of what still waits.
@@ -218,42 +220,41 @@ class SwingReader:
         One that is `running` is left out while another offer waits.
         """
         if not running:
-            self._put(Offer(ring, partial(ended_swing_view, plant=self._plant, around=self._around)))
-            return
-        with suppress(Full):
-            self._offered.put_nowait(Offer(ring, partial(running_swing_view, plant=self._plant)))
+            self._put(ring, partial(ended_swing_view, ring, self._plant, self._around))
+        elif self._offered is None:
+            self._put(ring, partial(running_swing_view, ring, self._plant))
 
-    def _put(self, item: Offer | None) -> None:
-        while True:
-            try:
-                self._offered.put_nowait(item)
-                return
-            except Full:
-                try:
-                    if self._offered.get_nowait() is None:
-                        item = None  # the end stays the end
-                except Empty:
-                    pass
+    def _put(self, path: Path, look: _Look) -> None:
+        with self._changed:
+            self._offered = path, look
+            self._changed.notify()
+
+    def _take(self, timeout: float | None) -> tuple[Path, _Look] | None:
+        """Return the offer, once there is one; None after `timeout` (s), or at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended or self._offered is not None, timeout)
+            offered, self._offered = self._offered, None
+            return offered
 
     def _work(self) -> None:
         with suppress(PermissionError):  # a service that may not has a low priority already
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         warm = False
         while True:
-            try:
-                offer = self._offered.get(timeout=None if warm else _IDLE)
-            except Empty:
+            offer = self._take(None if warm else _IDLE)
+            if self._ended:
+                return
+            if offer is None:
                 warm_up_shots(self._plant, self._around)
                 warm = True
                 continue
-            if offer is None:
-                return
+            path, look = offer
             try:
-                view = offer.view(offer.path)
+                view = look()
             except NoRing as error:  # a bench on another machine: its record is not here either
                 _log.debug("page: %s", error)
             except (BenchError, ExceptionGroup, ValueError, KeyError, OSError) as error:
-                _log.warning("page: swing in %s: %s", offer.path, error)
+                _log.warning("page: swing in %s: %s", path, error)
             else:
                 if view is not None:
                     self._publish("swing", view)

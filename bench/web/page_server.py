@@ -8,9 +8,8 @@ import signal
 import socket
 import ssl
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.address import identity_files
@@ -20,13 +19,12 @@ from bench.calibration.calibration import apply
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.supervisor.ownership import bench_folder
 from bench.supervisor.plan import RING_FILE
-from bench.web.answers import InvalidBody, UnknownName, json_answer
-from bench.web.bench_link import BenchLink, record_of
-from bench.web.broadcaster import PageBroadcaster
+from bench.web.answers import Downloads, InvalidBody, UnknownName, json_answer
+from bench.web.bench_link import BenchLink
+from bench.web.broadcaster import PageBroadcaster, TopicPoller
 from bench.web.campaign_service import CampaignArchive, CampaignService, RunningCampaigns
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
-from bench.web.commissioning_service import CommissioningService, CommissioningStore, CommissioningWatch
-from bench.web.downloads import Downloads
+from bench.web.commissioning_service import CommissioningService, CommissioningStore
 from bench.web.entry_forms import bench_values
 from bench.web.last_swing import SwingReader
 from bench.web.page_access import PageAddress, PageRole, checked_address, page_access
@@ -35,7 +33,6 @@ from bench.web.request_filter import Application, RequestFilter, http_protocol
 from bench.web.start_service import PlanCatalogue, StartService
 
 if TYPE_CHECKING:
-    import uvicorn
     from starlette.requests import Request
     from starlette.responses import Response
 
@@ -65,66 +62,49 @@ def serve_page(
     hosts, access = checked_address(address), page_access(address, configuration)
     _require_packages()
     with _listening(address) as listener, ExitStack() as stack:
-        broadcaster = PageBroadcaster()
-        link = BenchLink(configuration.network, configuration.bench.id, broadcaster.publish)
+        settings, broadcaster = configuration.bench, PageBroadcaster()
+        downloads = Downloads(settings.data_dir, settings.id)
+        c = apply(calibration_of(configuration, datetime.now(UTC)), configuration)
+        reader = SwingReader(broadcaster.publish, c.plant, FlightConditions(c.air, c.wind, c.turf))
+        reader.start()
+        stack.callback(reader.close)
+        ring = bench_folder(settings.id) / RING_FILE
+        if (newest := downloads.newest()) is not None:
+            reader.offer(newest)
+        link = BenchLink(
+            configuration.network,
+            settings.id,
+            broadcaster.publish,
+            lambda running: reader.offer_ring(ring, running=running),
+            reader.offer_shot,
+        )
         service = PageService(link, broadcaster, access, secure=bool(address.identity))
         stack.callback(service.close)
-        archive = CampaignArchive(configuration)
-        settings = configuration.bench
-        downloads = Downloads(settings.data_dir, settings.id)
         program = CommandLine(golfbench)
         stack.callback(program.close)
         log = settings.data_dir / "campaigns" / f".runner-of-{settings.id}.log"
         runner = BackgroundCommand(program, log, broadcaster.publish, "runner", outcome=run_outcome)
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
+        archive = CampaignArchive(configuration)
         campaigns = CampaignService(archive, downloads, program, runner)
         plans = PlanCatalogue(settings.data_dir, {"balls": configuration.balls, "clubs": configuration.clubs})
         starts = StartService(service, program, plans, runner, viewer, lambda: bench_values(configuration))
         shelf = CommissioningStore(settings.data_dir, settings.id)
-        watch = CommissioningWatch(shelf, broadcaster.publish)
         log = settings.data_dir / "commissioning" / f".process-of-{settings.id}.log"
         command = BackgroundCommand(
             program, log, broadcaster.publish, "commissioner", expected=(ExitCode.REFUSED, -signal.SIGTERM)
         )
         commissionings = CommissioningService(program, shelf, command)
-        watch.start()
-        stack.callback(watch.close)
-        c = apply(calibration_of(configuration, datetime.now(UTC)), configuration)
-        reader = SwingReader(broadcaster.publish, c.plant, FlightConditions(c.air, c.wind, c.turf))
-        reader.start()
-        stack.callback(reader.close)
-        ring = bench_folder(settings.id) / RING_FILE
-        link.watch_swings(lambda running: reader.offer_ring(ring, running=running))
-        _watch_swings(reader, downloads.newest(), link)
-        _watch_campaigns(archive, link, broadcaster)
         link.start()
         stack.callback(link.close)
+        shown = RunningCampaigns(archive)
+        looks = {"commissioning": shelf.view, "campaigns": lambda: shown.view(link.client().campaigns())}
+        poller = TopicPoller(broadcaster, looks)
+        poller.start()
+        stack.callback(poller.close)
         application = page_application(service, campaigns, starts, commissionings, address.scheme, hosts)
         asyncio.run(_serve(application, link, broadcaster, address, listener, ready))
-
-
-def _watch_swings(reader: SwingReader, newest: Path | None, link: BenchLink) -> None:
-    """Read the `newest` record, and each following one as soon as it is stored."""
-    if newest is not None:
-        reader.offer(newest)
-
-    def note(message: dict[str, Any]) -> None:
-        if (path := record_of(message)) is not None and path.is_file():
-            reader.offer(path)
-
-    link.watch_shots(note)
-
-
-def _watch_campaigns(archive: CampaignArchive, link: BenchLink, broadcaster: PageBroadcaster) -> None:
-    """Publish the running campaigns whenever they change."""
-    running = RunningCampaigns(archive)
-
-    def note(messages: list[dict[str, Any]]) -> None:
-        if (shown := running.changed(messages)) is not None:
-            broadcaster.publish("campaigns", shown)
-
-    link.watch_campaigns(note)
 
 
 def _require_packages() -> None:
@@ -193,7 +173,9 @@ async def _serve(
         # With tokens a browser without a certificate may sign in.
         ssl_cert_reqs=ssl.CERT_OPTIONAL if address.tokens else ssl.CERT_REQUIRED,
     )
-    server, loop = _server_without_signals(config), asyncio.get_running_loop()
+    server, loop = uvicorn.Server(config), asyncio.get_running_loop()
+    # Signals are the page's own.
+    server.capture_signals = nullcontext  # type: ignore[method-assign, assignment]
 
     def end() -> None:
         server.should_exit = True
@@ -226,19 +208,6 @@ async def _beat(link: BenchLink, broadcaster: PageBroadcaster) -> None:
         silence = link.silence()
         broadcaster.publish("link", {"silent_s": None if silence == float("inf") else round(silence, 2)})
         await asyncio.sleep(_BEAT)
-
-
-def _server_without_signals(config: uvicorn.Config) -> uvicorn.Server:
-    import uvicorn
-
-    class QuietServer(uvicorn.Server):
-        """Leaves the signals to the page."""
-
-        @contextmanager
-        def capture_signals(self) -> Iterator[None]:
-            yield
-
-    return QuietServer(config)
 
 
 _log = logging.getLogger("golfbench")

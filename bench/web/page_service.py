@@ -1,34 +1,46 @@
-"""Requests of the page: lookups and commands, each with the role that it needs."""
+"""Requests of the page: lookups and commands, each with the role that it needs.
+
+Commands are methods of `BenchClient`, sent once, from the state on the screen. A lease belongs to the browser
+tab that took it, by a secret ticket. The tab renews it while it is open and connected. A tablet that is
+switched off or out of reach lets it expire, and an armed bench disarms.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection
+import secrets
+import time
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from enum import Enum
-from pathlib import Path
-from threading import Barrier
+from threading import Barrier, Lock
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, Refused
+from bench.network.client import BenchClient
 from bench.network.command import CommandAnswer
 from bench.network.lease import MAX_HOLDER_LENGTH
-from bench.web.answers import Asked, InvalidBody, UnknownName, body_of, json_answer, refusal_answer, text_in
+from bench.web.answers import (
+    Asked,
+    Download,
+    InvalidBody,
+    UnknownName,
+    body_of,
+    json_answer,
+    refusal_answer,
+    static_files,
+    text_in,
+)
 from bench.web.bench_link import BenchLink
 from bench.web.broadcaster import EventStream, PageBroadcaster
-from bench.web.downloads import Download, static_files
 from bench.web.page_access import SESSION, PageAccess, PageRole
-from bench.web.page_commands import COMMANDS, STOPS, CommandNumbers, PageLeases
 
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
 T = TypeVar("T")
-MAX_DOWNLOADS = 8
-"""Max number of downloads at a time."""
-PART = 1 << 16
-"""Size of a part of a file, bytes."""
 TICKET = "golfbench-ticket"
 """Header with the ticket of a lease."""
 _GUESS_TIME = 1.0
@@ -70,8 +82,6 @@ class PageService:
         self._files = static_files()
         self._pools = {pool: _started_pool(pool) for pool in Pool}
         self._signing_in = asyncio.Lock()
-        self._open = 0
-        """Number of downloads under way."""
 
     def close(self) -> None:
         """End the threads of commands."""
@@ -92,7 +102,8 @@ class PageService:
         found = self._files.get(request.path_params.get("name", "index.html"))
         if found is None:
             return json_answer({"what": "There is no such file."}, 404)
-        return Response(found.content, media_type=found.kind, headers={"cache-control": "no-cache"})
+        content, kind = found
+        return Response(content, media_type=kind, headers={"cache-control": "no-cache"})
 
     async def stream(self, request: Request) -> Any:
         """Return the messages of the bench as server-sent events."""
@@ -130,22 +141,22 @@ class PageService:
 
     def stop(self, asked: Asked) -> dict[str, Any]:
         """Stop the robot, whatever the body says; no lease, no number, no age."""
-        return _answered(STOPS[_known(STOPS, asked.path["name"])](self._link.client()))
+        return _answered(_known(STOPS, asked)(self._link.client()))
 
     def command(self, asked: Asked) -> dict[str, Any]:
         """Send a command with the lease of the tab that asks."""
-        command = COMMANDS[_known(COMMANDS, asked.path["name"])]
+        send = _known(COMMANDS, asked)
         asked.once(fresh=True)
-        client = self._leases.client(asked.ticket) if command.leased else self._link.client()
-        return _answered(command.send(client))
+        leased = asked.path["name"] not in WITHOUT_LEASE
+        return _answered(send(self._leases.client(asked.ticket) if leased else self._link.client()))
 
     def lease(self, asked: Asked) -> dict[str, Any]:
         """Take, renew or release the lease."""
         match asked.body.get("action"):
             case "take":
-                return self._leases.take(asked.text("holder", MAX_HOLDER_LENGTH))._asdict()
+                return self._leases.take(asked.text("holder", MAX_HOLDER_LENGTH))
             case "renew":
-                return {"seconds": self._leases.renew(asked.ticket)}
+                return self._leases.renew(asked.ticket)
             case "release":
                 return self._leases.release(asked.ticket)
         raise InvalidBody("action: take, renew or release")
@@ -171,33 +182,16 @@ class PageService:
         """Return the endpoint of the file that `find` returns for the names in a path; None: no such file."""
 
         async def answer(request: Request) -> Response:
-            from starlette.responses import StreamingResponse
+            from starlette.responses import FileResponse
 
             if (refusal := self.needing(PageRole.VIEWER, request)) is not None:
                 return refusal
-            found = await self._looked_up(lambda: find(request.path_params))
-            if found is None:
+            loop, pool = asyncio.get_running_loop(), self._pools[Pool.LOOKUPS]
+            if (found := await loop.run_in_executor(pool, find, request.path_params)) is None:
                 return json_answer({"what": "There is no such file."}, 404)
-            if self._open >= MAX_DOWNLOADS:
-                action = "Try again when one has ended."
-                return json_answer({"what": "Too many downloads.", "action": action}, 503)
-            return StreamingResponse(self._parts(found.path), media_type=found.kind, headers=found.headers)
+            return FileResponse(found.path, media_type=found.kind, headers=found.headers)
 
         return answer
-
-    async def _parts(self, path: Path) -> AsyncIterator[bytes]:
-        """Yield the file at `path` in parts, so that a slow reader costs no more than one of them."""
-        self._open += 1
-        try:
-            with path.open("rb") as stream:
-                while part := await self._looked_up(lambda: stream.read(PART)):
-                    yield part
-        finally:
-            self._open -= 1
-
-    async def _looked_up(self, work: Callable[[], T]) -> T:
-        """Return the outcome of `work`, done in the threads for lookups."""
-        return await asyncio.get_running_loop().run_in_executor(self._pools[Pool.LOOKUPS], work)
 
     async def answered(self, pool: Pool, work: Callable[[], Any]) -> Response:
         """Return the outcome of `work`, done in `pool`, or why it was refused."""
@@ -237,10 +231,10 @@ def _answered(answer: CommandAnswer) -> dict[str, Any]:
     return {"state": answer.state, "note": answer.note}
 
 
-def _known(commands: Collection[str], name: str) -> str:
-    if name not in commands:
+def _known(commands: Mapping[str, T], asked: Asked) -> T:
+    if (command := commands.get(asked.path["name"])) is None:
         raise UnknownName("command")
-    return name
+    return command
 
 
 def _started_pool(kind: Pool) -> ThreadPoolExecutor:
@@ -249,3 +243,142 @@ def _started_pool(kind: Pool) -> ThreadPoolExecutor:
     pool, together = ThreadPoolExecutor(threads, f"page-{name}"), Barrier(threads)
     wait([pool.submit(together.wait) for _ in range(threads)])
     return pool
+
+
+TIMEOUT = 2.0
+"""Time for which a command is retried while the bench refuses it for a passing reason, s.
+
+Shorter than at the command line, which waits in front of the operator: nothing may move long after a click.
+"""
+MAX_AGE = 3.0
+"""Max age of the state that a command was given from, s."""
+MAX_NUMBERS = 1024
+"""Number of commands that are remembered to refuse their repetition."""
+
+
+_Command = Callable[[BenchClient], CommandAnswer]
+
+COMMANDS: Mapping[str, _Command] = {
+    "reset": lambda bench: bench.reset(TIMEOUT),
+    "home": lambda bench: bench.home(TIMEOUT),
+    "arm": lambda bench: bench.arm(TIMEOUT),
+    "disarm": BenchClient.disarm,
+    "swing": lambda bench: bench.swing(TIMEOUT),
+    "tee": BenchClient.tee,
+    "access": BenchClient.access,
+    "secure": BenchClient.secure,
+}
+"""Commands by name, without the stops."""
+WITHOUT_LEASE = frozenset({"disarm"})
+"""Commands that need no lease."""
+STOPS: Mapping[str, _Command] = {"stop": BenchClient.stop, "estop": BenchClient.emergency_stop}
+
+
+class CommandNumbers:
+    """Numbers of received commands, so that one that arrives twice or late is refused.
+
+    A browser or a proxy may send a request again after a lost connection, and a slow network may deliver it
+    late: neither may move the robot.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._seen: OrderedDict[str, None] = OrderedDict()
+        self._lock = Lock()
+
+    def check(self, number: str, seen: float | None) -> None:
+        """Take command `number`, given from the state of time `seen` (s, the page's clock); None: any.
+
+        Raises:
+            Refused: it came before, or the state on the screen was too old.
+        """
+        with self._lock:
+            if number in self._seen:
+                raise Refused(
+                    "command", "received twice", "each click once", "Look at the state, then click."
+                )
+            self._seen[number] = None
+            while len(self._seen) > MAX_NUMBERS:
+                self._seen.popitem(last=False)
+        if seen is None:
+            return
+        age = self._clock() - seen
+        if not 0.0 <= age <= MAX_AGE:
+            raise Refused(
+                "command",
+                f"given from a state that is {age:.0f} s old" if age > 0 else "given from an unknown state",
+                f"a state of the last {MAX_AGE:g} s",
+                "Wait until the page shows the present state, then click again.",
+            )
+
+
+LEASE = 15.0
+"""Duration of a lease from each renewal, s."""
+MAX_TICKETS = 16
+"""Max number of tickets; the bench gives out one lease at a time, older tickets are of lost leases."""
+
+
+class _Held(NamedTuple):
+    client: BenchClient
+    until: float
+
+
+class PageLeases:
+    """The leases by ticket."""
+
+    def __init__(
+        self, connect: Callable[[], BenchClient], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """`connect` returns a new client without a lease."""
+        self._connect, self._clock = connect, clock
+        self._held: dict[str, _Held] = {}
+        self._lock = Lock()
+
+    def take(self, holder: str) -> dict[str, Any]:
+        """Take the bench's lease for `holder`; return its ticket. Raises as `BenchClient.take_lease`."""
+        client = self._connect()
+        client.take_lease(holder, LEASE)
+        ticket = secrets.token_urlsafe(24)
+        with self._lock:
+            now = self._clock()
+            self._held = {t: held for t, held in self._held.items() if held.until > now}
+            while len(self._held) >= MAX_TICKETS:
+                del self._held[next(iter(self._held))]
+            self._held[ticket] = _Held(client, now + LEASE)
+        return {"ticket": ticket, "holder": holder, "seconds": LEASE}
+
+    def renew(self, ticket: str) -> dict[str, Any]:
+        """Renew the lease for LEASE from now; return its seconds. Raises as `BenchClient.renew_lease`."""
+        client = self.client(ticket)
+        try:
+            seconds = client.renew_lease()
+        except Refused:
+            self._forget(ticket)
+            raise
+        with self._lock:
+            if ticket in self._held:
+                self._held[ticket] = _Held(client, self._clock() + seconds)
+        return {"seconds": seconds}
+
+    def release(self, ticket: str) -> dict[str, Any]:
+        """Release the lease; an armed bench disarms. Return its seconds: 0."""
+        client = self.client(ticket)
+        self._forget(ticket)
+        client.release_lease()
+        return {"seconds": 0.0}
+
+    def client(self, ticket: str) -> BenchClient:
+        """Return the client that holds the lease of `ticket`.
+
+        Raises:
+            Refused: no lease, or it has expired.
+        """
+        with self._lock:
+            held = self._held.get(ticket)
+        if held is None or self._clock() > held.until:
+            raise Refused("lease", "not held by this page", "the lease of the bench", "Take the lease first.")
+        return held.client
+
+    def _forget(self, ticket: str) -> None:
+        with self._lock:
+            self._held.pop(ticket, None)

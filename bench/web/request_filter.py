@@ -15,8 +15,6 @@ MAX_BODY = 4096
 """Max size of a request's body, bytes."""
 MAX_HEAD = 16384
 """Max size of a request's path and headers, bytes."""
-BODY_TIME = 5.0
-"""Max time for a body to arrive, s."""
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -50,7 +48,7 @@ class RequestFilter:
         self._hosts = frozenset(host.lower() for host in hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse a request, or pass it on with its whole body."""
+        """Refuse a request, or pass it on."""
         if scope["type"] != "http":
             return
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
@@ -68,23 +66,10 @@ class RequestFilter:
         refusal = self._refusal(scope["method"], scope["path"], headers)
         if size > MAX_HEAD:
             refusal = 431, "The request is too long."
-        if refusal is None and scope["method"] == "POST":
-            try:
-                async with asyncio.timeout(BODY_TIME):
-                    body = await _read_body(receive)
-            except TimeoutError:
-                refusal = 408, "The request took too long."
-            else:
-                if body is None:
-                    return
-                if len(body) > MAX_BODY:
-                    refusal = 413, "The request is too long."
-                else:
-                    receive = _replay(body, receive)
         if refusal is not None:
             await _refuse(answer, *refusal)
-            return
-        await self._application(scope, receive, answer)
+        else:
+            await self._application(scope, receive, answer)
 
     def _refusal(self, method: str, path: str, headers: dict[str, str]) -> tuple[int, str] | None:
         """Return status and text for a request that is not the page's own; None for one that is."""
@@ -104,34 +89,10 @@ class RequestFilter:
         if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
             return 415, "JSON only."
         length = headers.get("content-length", "0")
-        if not length.isascii() or not length.isdecimal() or int(length[:20]) > MAX_BODY:
+        known = length.isascii() and length.isdecimal() and "transfer-encoding" not in headers
+        if not known or int(length[:20]) > MAX_BODY:
             return 413, "The request is too long."
         return None
-
-
-async def _read_body(receive: Receive) -> bytes | None:
-    """Return the body, cut after MAX_BODY; None if the reader has gone."""
-    body = b""
-    while len(body) <= MAX_BODY:
-        message = await receive()
-        if message["type"] == "http.disconnect":
-            return None
-        body += message.get("body", b"")
-        if not message.get("more_body"):
-            break
-    return body
-
-
-def _replay(body: bytes, receive: Receive) -> Receive:
-    """Return what delivers `body` first, then what `receive` does."""
-    waiting = [body]
-
-    async def deliver() -> Message:
-        if waiting:
-            return {"type": "http.request", "body": waiting.pop(), "more_body": False}
-        return await receive()
-
-    return deliver
 
 
 async def _refuse(send: Send, status: int, text: str) -> None:
@@ -145,8 +106,8 @@ async def _refuse(send: Send, status: int, text: str) -> None:
     await send({"type": "http.response.body", "body": content})
 
 
-HEAD_TIME = 10.0
-"""Max time for the head of a request to arrive, s; slower connections end."""
+REQUEST_TIME = 10.0
+"""Max time for a request to arrive, s; slower connections end."""
 MAX_CONNECTIONS = 256
 """Max number of connections; further ones end at once."""
 
@@ -157,9 +118,9 @@ def http_protocol() -> type[asyncio.Protocol]:
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     class BoundedProtocol(H11Protocol):
-        """HTTP/1.1 with a time limit on the head of each request."""
+        """HTTP/1.1 with a time limit on each request."""
 
-        _head: asyncio.TimerHandle | None = None
+        _limit: asyncio.TimerHandle | None = None
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
@@ -167,27 +128,27 @@ def http_protocol() -> type[asyncio.Protocol]:
                 transport.abort()
                 return
             name = common_name(transport.get_extra_info("peercert"))
-            self.app = _with_state(self.app, {"certificate": name, "abort": transport.abort})
-            self._monitor_head()
+            self.app = _with_certificate(self.app, name)
+            self._monitor_request()
 
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
-            self._monitor_head()
+            self._monitor_request()
 
         def connection_lost(self, exc: Exception | None) -> None:
             self._stop_watch()
             super().connection_lost(exc)
 
-        def _monitor_head(self) -> None:
-            if self.conn.their_state is not h11.IDLE:
+        def _monitor_request(self) -> None:
+            if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
                 self._stop_watch()
-            elif self._head is None:
-                self._head = self.loop.call_later(HEAD_TIME, self.transport.abort)
+            elif self._limit is None:
+                self._limit = self.loop.call_later(REQUEST_TIME, self.transport.abort)
 
         def _stop_watch(self) -> None:
-            if self._head is not None:
-                self._head.cancel()
-                self._head = None
+            if self._limit is not None:
+                self._limit.cancel()
+                self._limit = None
 
     return BoundedProtocol
 
@@ -199,9 +160,9 @@ def common_name(certificate: Mapping[str, Any] | None) -> str:
     return names[0] if len(names) == 1 else ""
 
 
-def _with_state(application: Any, state: Mapping[str, Any]) -> Application:
+def _with_certificate(application: Any, name: str) -> Application:
     async def run(scope: Scope, receive: Receive, send: Send) -> None:
-        scope["state"] = {**scope.get("state", {}), **state}
+        scope["state"] = {**scope.get("state", {}), "certificate": name}
         await application(scope, receive, send)
 
     return run

@@ -99,13 +99,7 @@ def _described(name: str, file: Path, known: Mapping[str, Collection[str]]) -> d
         lacks = [one for section, names in known.items() for one in _lacking(plan, section, names)]
     except BenchError:
         pass
-    return {
-        "name": name,
-        "title": title,
-        "about": about,
-        "shipped": file.parent == EXAMPLES,
-        "lacks": lacks,
-    }
+    return {"name": name, "title": title, "about": about, "shipped": file.parent == EXAMPLES, "lacks": lacks}
 
 
 def _lacking(plan: Mapping[str, Any], section: str, known: Collection[str]) -> list[str]:

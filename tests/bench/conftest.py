@@ -14,8 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from bench.base.lifecycle import Cause, Phase, State
 from bench.control.settings import EnvelopeSettings
-from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS
 from bench.swing.profile import Profile
 from drivers.base import Launch

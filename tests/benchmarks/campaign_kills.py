@@ -27,7 +27,7 @@ from bench.campaign.run.runner import Runner, Watcher
 from bench.campaign.run.runner_control import course_of, new_entry
 from bench.campaign.run.simulated_shots import BEGIN, SimulatedShots
 from bench.config import Configuration, database_url, load_configuration
-from bench.records.shot.shot_table import shot_table_text
+from bench.records.shot.shot import shot_table_text
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database

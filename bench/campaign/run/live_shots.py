@@ -40,15 +40,16 @@ from bench.campaign.run.simulated_shots import (
 )
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
-from bench.network.bench_operator import READY, BenchOperator, NoShot, SwingRecord
+from bench.network.bench_operator import READY, BenchOperator, NoShot
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.status_words import absent_monitor_text
-from bench.records.shot.ball_struck import ball_struck
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.shot.shot_matcher import reported_columns
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
+from bench.records.shot.strike import ball_struck
+from bench.records.telemetry.recorder import SwingRecord
 from bench.supervisor.ownership import bench_folder
 from bench.supervisor.readiness import mechanically_equal, with_face_of
 from bench.swing.correction import digest_of

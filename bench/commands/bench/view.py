@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from bench.golfer.golfer_file import GolferSwing
-    from bench.records.shot.shot_record import ShotRecord
+    from bench.records.shot.shot import ShotRecord
     from bench.viewer.recording import Layout
     from bench.viewer.window import RerunWindow
     from sim.plant import PlantParameters
@@ -109,7 +109,7 @@ def _read(
 ) -> tuple[list[ShotRecord], PlantParameters, str]:
     """Return the shots, the plant of the first, and a name for them."""
     from bench.records.shot.recorded_shot import read_shot
-    from bench.viewer.recorded_series import record_files
+    from bench.records.telemetry.recorder import record_files
 
     files = [shot] if shot is not None else record_files(campaign)
     task = progress.add_task("reading", total=len(files))
@@ -153,7 +153,7 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
     stack.callback(close_session, session)
     around = FlightConditions(c.air, c.wind, c.turf)
     warm_up(c.plant, around)
-    feed = stack.enter_context(Feed(session, c.bench.id, time.time))
+    feed = stack.enter_context(Feed(session, c.bench.id))
     wish = stack.enter_context(stop_on_signals())
     window = _window(stack, where) if where.on_screen else None
     sinks: list[Any] = [] if window is None else [rr.GrpcSink(window.url)]
@@ -203,7 +203,7 @@ def _writable(path: Path) -> Path:
 def _window(stack: ExitStack, where: _Where) -> RerunWindow:
     from bench.viewer.window import RerunWindow
 
-    return stack.enter_context(RerunWindow("web" if where.web else "window"))
+    return stack.enter_context(RerunWindow(web=where.web))
 
 
 def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:

@@ -765,7 +765,7 @@ def export(
 ) -> None:
     """Export a campaign's shots, one row each."""
     from bench.campaign.report.campaign_record import with_exclusions
-    from bench.records.shot.shot_table import shot_table_text, write_shot_table
+    from bench.records.shot.shot import shot_table_text, write_shot_table
 
     with _found(context, campaign) as (store, entry):
         taken = [stored.shot for stored in store.shots(entry.id)]

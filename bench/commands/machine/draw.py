@@ -14,7 +14,7 @@ from bench.commands.common.options import option
 from bench.commands.common.session import Session
 
 if TYPE_CHECKING:
-    from bench.viewer.drawing.workshop_files import MassRow
+    from bench.viewer.drawing.model_files import MassRow
     from sim.plant import PlantParameters
 
 
@@ -40,7 +40,7 @@ def draw(
     robot.step is for a workshop (mm), robot.glb for people, golfbench.urdf with meshes for simulators (m).
     masses.csv has mass, centre of mass and inertia as drawn and as in the dynamics. Files are replaced.
     """
-    from bench.viewer.drawing.workshop_files import mass_rows, write_mass_table
+    from bench.viewer.drawing.model_files import mass_rows, write_mass_table
 
     configuration = context.ensure_object(Session).configuration()
     plant = configuration.plant_with(club=club)
@@ -64,8 +64,7 @@ def _write(
     from importlib.util import find_spec
 
     from bench.viewer.drawing.drawing import placed
-    from bench.viewer.drawing.model_files import collision_outline, write_gltf, write_urdf
-    from bench.viewer.drawing.workshop_files import write_step
+    from bench.viewer.drawing.model_files import write_gltf, write_step, write_urdf
 
     written = []
     bodies = placed(plant)
@@ -73,7 +72,7 @@ def _write(
         written.append(output / "robot.glb")
         write_gltf(written[-1], bodies)
     if format_ in (None, DrawingFormat.URDF):
-        written += write_urdf(output, plant, collision_outline(plant, min_frame_distance))[-2:]
+        written += write_urdf(output, plant, min_frame_distance)[-2:]
     if format_ is DrawingFormat.STEP or (format_ is None and find_spec("build123d") is not None):
         written.append(output / "robot.step")
         write_step(written[-1], bodies)

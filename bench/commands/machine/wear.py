@@ -47,9 +47,8 @@ def wear(records: Records, plot: Plot = None, json_: Json = False) -> None:
     """
     import numpy as np
 
-    from bench.records.telemetry.recorder import read_swing
+    from bench.records.telemetry.recorder import read_swing, record_files
     from bench.simulation.replay import AHEAD, margins, residual_shares
-    from bench.viewer.recorded_series import record_files
 
     require_picture(plot)
     files = record_files(records)

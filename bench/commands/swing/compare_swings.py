@@ -57,7 +57,7 @@ def compare(
     rows = differences(*courses)
     at_ball = clocks(*courses)[2]
     if plot is not None:
-        from bench.records.shot.overlay_plot import overlay_plot
+        from bench.records.shot.overlay import overlay_plot
 
         overlay_plot(*courses).savefig(plot, dpi=150)
     if json_:

@@ -15,7 +15,7 @@ from bench.commands.common.progress import progress_bar
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bench.viewer.export.record_files import ExportRecord
+    from bench.records.telemetry.recorder import SwingRecord
 
 
 class Format(StrEnum):
@@ -41,15 +41,14 @@ def export(
     csv stores its units in NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (with a layout file),
     mat for MATLAB, mf4 (MDF 4) for CANape and NI.
     """
-    from bench.viewer.export.record_files import read_record
-    from bench.viewer.recorded_series import record_files
+    from bench.records.telemetry.recorder import SwingRecord, read_swing, record_files
 
     targets = planned(record_files(records), format_, output, force)
     write = _writer(format_)
     with progress_bar() as progress:
         task = progress.add_task("exporting", total=len(targets))
         for source, target in targets:
-            written = write(target, read_record(source))
+            written = write(target, SwingRecord(source, *read_swing(source)))
             progress.advance(task)
             typer.echo("\n".join(map(str, written)))
 
@@ -82,26 +81,26 @@ def planned(
     return targets
 
 
-def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
+def _writer(format_: Format) -> Callable[[Path, SwingRecord], list[Path]]:
     """Return what writes `format_`; only its own library is imported."""
     match format_:
         case Format.CSV:
-            from bench.viewer.export.record_files import write_csv
+            from bench.viewer.export_files import write_csv
 
             return write_csv
         case Format.RRD:
-            from bench.viewer.export.rrd_file import write_rrd
+            from bench.viewer.recording import write_rrd
 
             return write_rrd
         case Format.MCAP:
-            from bench.viewer.export.mcap_file import write_mcap
+            from bench.viewer.export_files import write_mcap
 
             return write_mcap
         case Format.MAT:
-            from bench.viewer.export.record_files import write_mat
+            from bench.viewer.export_files import write_mat
 
             return write_mat
         case Format.MF4:
-            from bench.viewer.export.record_files import write_mf4
+            from bench.viewer.export_files import write_mf4
 
             return write_mf4

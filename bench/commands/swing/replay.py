@@ -16,7 +16,7 @@ from bench.base.errors import BenchError
 from bench.commands.common.output import finite, plain_table
 from bench.commands.common.progress import progress_of
 from bench.commands.common.session import show_json
-from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.records.telemetry.cycle_record import ENUMERATIONS
 from bench.records.telemetry.recorder import read_swing
 from bench.simulation.replay import INPUTS, MEASURED, TOLERANCE, Difference, Replay, replay_cycles
 

@@ -9,18 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import nan
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.lifecycle import Phase
-from bench.records.shot.head_path import path_to_ball
 from bench.records.shot.recorded_shot import RecordedShot
+from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.swing.motion import head_speed
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.plant import PlantParameters
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 _Summary = Callable[[Array], float]
@@ -42,7 +44,6 @@ DELIVERY = {
 """Figures of a shot, and their units."""
 _PLANNED = {"head_speed_mps": "club_speed_mps", "attack_angle_deg": "attack_angle_deg"}
 """Columns of a shot by the name of the profile's figure."""
-_SWING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 
 
 @dataclass(frozen=True)
@@ -83,17 +84,15 @@ class FigureDifference(NamedTuple):
 def course_of_record(name: str, shot: RecordedShot) -> SwingCourse:
     """Return the course of a record's swing, empty where it holds none."""
     cycles = shot.record.cycles
-    cycles = cycles[np.isin(cycles["phase"], _SWING)]
+    cycles = cycles[np.isin(cycles["phase"], SWINGING)]
     start = float(cycles["time"][0]) if len(cycles) else 0.0
-    estimated = cycles.copy()
-    estimated["plant_angle"] = nan
-    path = path_to_ball(shot.plant.robot, estimated, shot.plant.site.ball_x, 0.1)
+    at_ball = time_at_ball(shot.plant.robot, cycles, shot.plant.site.ball_x, estimated=True)
     figures = {column: getattr(shot.record.shot, column) for column in DELIVERY}
     pressure = np.where(np.isfinite(cycles["chamber_pressure"]), cycles["chamber_pressure"], nan)
     return SwingCourse(
         name,
         cycles["time"] - start,
-        None if path is None else float(path.time[-1]) - start,
+        None if at_ball is None else at_ball - start,
         cycles["angle"],
         cycles["angle"] - cycles["reference_angle"],
         cycles["applied_valve"],
@@ -105,7 +104,7 @@ def course_of_record(name: str, shot: RecordedShot) -> SwingCourse:
 
 def course_of_profile(plant: PlantParameters, profile: Profile) -> SwingCourse:
     """Return the planned course of `profile` on `plant`."""
-    rows = np.isin(profile.phases, _SWING)
+    rows = np.isin(profile.phases, SWINGING)
     time: Array = np.flatnonzero(rows).astype(float) * profile.period
     unknown = np.full((len(time), 9), nan)
     return SwingCourse(
@@ -181,3 +180,47 @@ def _largest(values: Array) -> float:
 
 _SUMMARIES: dict[_Summary | None, str] = {_rms: ", RMS", _largest: ", largest"}
 """Ending of a row's name by its summary."""
+
+
+_BROAD: dict[str, Any] = {"linewidth": 2.6, "alpha": 0.4}
+_THIN: dict[str, Any] = {"linewidth": 0.8}
+
+
+def overlay_plot(first: SwingCourse, second: SwingCourse) -> Figure:
+    """Return head speed, angles, tracking errors, openings and pressures of both swings."""
+    import matplotlib as mpl
+
+    from bench.records.shot.plot_style import COLOURS, INK, STYLE, styled
+
+    one, two, at_ball = clocks(first, second)
+    with mpl.rc_context(STYLE):
+        figure = styled(9.5)
+        grid = figure.subplots(5, 3, sharex=True)
+        for axes in grid[0, 1:]:
+            axes.remove()
+        speed = figure.add_subplot(grid[0, 0].get_subplotspec().get_gridspec()[0, :], sharex=grid[1, 0])
+        grid[0, 0].remove()
+        for time, course, style in ((one, first, _BROAD), (two, second, _THIN)):
+            speed.plot(time, course.head_speed, color=INK, label=course.name, **style)
+            for k, joint in enumerate(JOINTS):
+                columns = (
+                    np.degrees(course.angle[:, k]),
+                    np.degrees(course.error[:, k]),
+                    100 * course.opening[:, k],
+                )
+                for axes, column in zip(grid[1:4, k], columns, strict=True):
+                    axes.plot(time, column, color=COLOURS[k], **style)
+                for chamber, colour in ((2 * k, COLOURS[k]), (2 * k + 1, COLOURS[k + 3])):
+                    grid[4, k].plot(time, 1e-5 * course.pressure[:, chamber], color=colour, **style)
+                grid[1, k].set_title(joint)
+        speed.set(title="head speed", ylabel="m/s")
+        speed.legend(loc="upper left")
+        labels = ("angle, °", "tracking error, °", "valve opening, %", "pressures A, B, bar")
+        for row, label in zip(grid[1:], labels, strict=True):
+            row[0].set_ylabel(label)
+        for axes in grid[4]:
+            axes.set_xlabel("s from the ball" if at_ball else "s from the start")
+        if at_ball:
+            for axes in [speed, *grid[1:].ravel()]:
+                axes.axvline(0.0, color=INK, linewidth=0.8)
+    return figure

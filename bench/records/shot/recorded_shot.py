@@ -20,10 +20,8 @@ from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, as_tree, laid_over
 from bench.base.json_schema import require_fit
 from bench.base.lifecycle import CAUSE_TEXT, Cause
-from bench.records.shot.ball_struck import ball_struck
-from bench.records.shot.head_path import path_to_ball
-from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import COLUMNS, Shot, ShotRecord, ShotStatus
+from bench.records.shot.strike import ball_struck, time_at_ball
 from bench.records.telemetry.recorder import read_swing
 from drivers.base import Launch
 from sim.air import Air
@@ -200,15 +198,13 @@ def shot_of_cycles(
 
 def delivery_of_cycles(cycles: Cycles, plant: PlantParameters) -> Delivery | None:
     """Return the delivery of the estimated head at the ball's place; None if it does not arrive there."""
-    estimated = cycles.copy()
-    estimated["plant_angle"] = np.nan
     robot, site = plant.robot, plant.site
-    path = path_to_ball(robot, estimated, site.ball_x, 0.1)
-    if path is None:
+    at_ball = time_at_ball(robot, cycles, site.ball_x, estimated=True)
+    if at_ball is None:
         return None
-    last = int(np.searchsorted(cycles["time"], path.time[-1])) - 1
+    last = int(np.searchsorted(cycles["time"], at_ball)) - 1
     angle, velocity = cycles["angle"][last], cycles["velocity"][last]
-    ahead = angle + (path.time[-1] - cycles["time"][last]) * velocity
+    ahead = angle + (at_ball - cycles["time"][last]) * velocity
     step = 1e-6
     motion = (
         forward_kinematics(robot, ahead + step * velocity)

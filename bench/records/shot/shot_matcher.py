@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, State
-from bench.records.shot.ball_struck import ball_struck
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.telemetry.shot_id import shot_id
+from bench.records.shot.strike import ball_struck
+from bench.records.telemetry.swing_metadata import shot_id
 from drivers.launch_monitor.conversation import add_doubts
 from drivers.launch_monitor.matching import (
     Match,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from drivers.base import CHAMBERS, JOINTS
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Field(NamedTuple):
     components: tuple[str, ...] = ()
     """Names of the components of a vector; empty for a scalar."""
     names: str = ""
-    """Enumeration of its codes, see `bench.records.telemetry.enumerations`; empty for a field without
+    """Enumeration of its codes, see `bench.records.telemetry.cycle_record`; empty for a field without
     names."""
 
     @property
@@ -75,13 +75,7 @@ FIELDS = (
     Field("vented", "?", "1", "chambers are proven empty"),
     Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'", names="phase"),
     Field("reaction", "u1", "1", "reaction under way, see enumeration 'reaction'", names="reaction"),
-    Field(
-        "cause",
-        "i4",
-        "1",
-        "cause of the stop, see enumeration 'cause'; 0 when none",
-        names="cause",
-    ),
+    Field("cause", "i4", "1", "cause of the stop, see enumeration 'cause'; 0 when none", names="cause"),
     Field(
         "latest_cause",
         "i4",
@@ -118,13 +112,7 @@ FIELDS = (
     Field("ball_present", "?", "1", "ball seen on the tee"),
     Field("local_reset", "?", "1", "local reset input"),
     Field("supply_pressure", "f8", "Pa", "supply pressure, absolute; NaN: not fitted, infinite: no value"),
-    Field(
-        "chamber_pressure",
-        "f8",
-        "Pa",
-        "chamber pressure, absolute, as above",
-        _CHAMBERS,
-    ),
+    Field("chamber_pressure", "f8", "Pa", "chamber pressure, absolute, as above", _CHAMBERS),
     Field(
         "spool_position",
         "f8",
@@ -230,3 +218,14 @@ def unit_of(field: Field, index: int) -> str:
     """Return the unit of one component: efforts differ by actuator and list theirs."""
     units = field.unit.split(", ")
     return units[index] if len(units) > 1 else units[0]
+
+
+ENUMERATIONS: dict[str, dict[str, str]] = {
+    "state": {str(state.value): state.name for state in State},
+    "request": {str(request.value): request.name for request in Request},
+    "refusal": {str(refusal.value): refusal.name for refusal in Refusal},
+    "phase": {str(phase.value): phase.name for phase in Phase},
+    "reaction": {str(reaction.value): reaction.name for reaction in Reaction},
+    "cause": {str(cause.value): cause.name for cause in Cause},
+}
+"""Names by code, as stored in the metadata of records; JSON keys are text."""

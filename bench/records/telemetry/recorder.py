@@ -1,11 +1,15 @@
-"""One Parquet file per swing: every cycle, and metadata to interpret it later."""
+"""One Parquet file per swing: every cycle, and metadata to interpret it; the queue of files to write."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import os
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,13 +17,16 @@ from bench.base.errors import BenchError
 from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.cycle_record import (
     CYCLE,
+    ENUMERATIONS,
     FIELDS,
     SCHEMA_VERSION,
     from_arrow,
     name_columns,
     to_arrow,
 )
-from bench.records.telemetry.enumerations import ENUMERATIONS
+
+Cycles = np.ndarray[Any, Any]
+"""Records of CYCLE."""
 
 METADATA_KEY, UNITS_KEY = b"golfbench", b"units"
 """Keys of the JSON texts in the Parquet file's key-value metadata."""
@@ -30,7 +37,7 @@ _SPLIT = [column for field in FIELDS if field.dtype == "f8" for column in field.
 _REPEATED = [column for field in FIELDS if field.dtype != "f8" for column in field.columns]
 
 
-def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str, Any]) -> None:
+def write_swing(path: Path, cycles: Cycles, metadata: Mapping[str, Any]) -> None:
     """Write the swing's `cycles` (n records of CYCLE) and `metadata` to `path`, whole or not at all.
 
     `metadata` holds what JSON can: versions, effective configuration, seed, profile, shot. The schema's
@@ -65,7 +72,23 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
         )
 
 
-def read_swing(path: Path) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
+class SwingRecord(NamedTuple):
+    """A swing's record, as it is stored."""
+
+    path: Path
+    cycles: Cycles
+    metadata: dict[str, Any]
+
+    @property
+    def begin_utc(self) -> float:
+        """UTC time of the columns' zero, s since 1970; 0 if the record has none."""
+        start = self.metadata.get("time_utc")
+        if not isinstance(start, str) or not len(self.cycles):
+            return 0.0
+        return datetime.fromisoformat(start).timestamp() - float(self.cycles["time"][0])
+
+
+def read_swing(path: Path) -> tuple[Cycles, dict[str, Any]]:
     """Return the cycles (records of CYCLE, bit for bit as written) and the metadata stored in `path`.
 
     Raises BenchError when the file is missing, no Parquet file, not a swing of golfbench, or of a
@@ -114,3 +137,118 @@ def _read_metadata(path: Path, stored: Mapping[bytes, bytes]) -> dict[str, Any]:
             "read it with the version of golfbench that wrote it",
         )
     return metadata
+
+
+def record_files(places: Sequence[Path]) -> list[Path]:
+    """Return the records at `places` in order; a folder stands for all records in it, sorted by name.
+
+    Raises:
+        BenchError: a place does not exist, or no record is found.
+    """
+    files: list[Path] = []
+    for location in places:
+        if location.is_dir():
+            files += sorted(location.rglob("*.parquet"))
+        elif location.exists():
+            files.append(location)
+        else:
+            expected = "a record or a folder of records"
+            action = "Correct the path of the records."
+            raise BenchError(str(location), "no such file or folder", expected, action)
+    if not files:
+        place, action = (
+            ", ".join(map(str, places)) or "records",
+            "Give a folder such as data/campaigns/ID/swings.",
+        )
+        raise BenchError(place, "no record (.parquet)", "at least one record", action)
+    return files
+
+
+class QueuedRecord(NamedTuple):
+    """One record and its path."""
+
+    path: Path
+    began: datetime
+    cycles: Cycles
+    """Cycles of the record: `time` from the record's begin."""
+    metadata: Mapping[str, Any]
+
+
+class RecordQueue:
+    """Queue of at most `room` records; records that do not fit are lost and counted."""
+
+    def __init__(self, room: int, pause: float) -> None:
+        """`pause`: s before a retry after a failure."""
+        self._room, self._pause = room, pause
+        self._waiting: deque[QueuedRecord] = deque()
+        self._next_try = 0.0
+        self.dropped = 0
+        """Number of records lost for want of room."""
+        self.fault = ""
+        """Reason why the last record was not stored; empty if it was."""
+
+    def __len__(self) -> int:
+        """Return the number of waiting records."""
+        return len(self._waiting)
+
+    @property
+    def owed_after(self) -> int | None:
+        """Tick before the first cycle of the waiting swings; None if no swing waits."""
+        firsts = [int(r.cycles["tick"][0]) for r in self._waiting]
+        return min(firsts) - 1 if firsts else None
+
+    def put(self, record: QueuedRecord) -> None:
+        """Queue `record`; drop it without room."""
+        if len(self._waiting) >= self._room:
+            self.dropped += 1
+            return
+        self._waiting.append(record)
+
+    def due(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:
+        """Return the oldest record, unless a retry is not due at `now` (s)."""
+        return self._waiting[0] if self._waiting and (at_once or now >= self._next_try) else None
+
+    def store(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:
+        """Store the record that is due; return it once stored."""
+        record = self.due(now, at_once=at_once)
+        if record is None:
+            return None
+        try:
+            record.path.parent.mkdir(parents=True, exist_ok=True)
+            write_swing(record.path, record.cycles, record.metadata)
+        except (BenchError, OSError, MemoryError) as error:
+            self.fault = str(error) or repr(error)
+            self._next_try = now + self._pause
+            return None
+        self.fault = ""
+        return self._waiting.popleft()
+
+
+def record_path(folder: Path, time_utc: datetime, number: int) -> Path:
+    """Return the path of record `number` that begins at `time_utc`."""
+    return folder / f"{time_utc.astimezone(UTC):%Y%m%dT%H%M%S%fZ}-{number}.parquet"
+
+
+def folder_fault(folder: Path, least_free: int) -> str:
+    """Return why a record may not fit into `folder`, which is created; empty if it fits.
+
+    `least_free` is in bytes. A cheap look every few seconds; the disk's own word is `RecordQueue.fault`.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        state = os.statvfs(folder)
+    except OSError as error:
+        return f"{folder}: {error.strerror or error}"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return f"{folder}: cannot be written to. Give its user the right, or name another data_dir"
+    free = state.f_bavail * state.f_frsize
+    if free < least_free:
+        return f"{folder}: {free >> 20} MiB left on its disk, expected {least_free >> 20}. Free some space"
+    return ""
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove the partial files of a killed recorder in `folder`; only one recorder may write there."""
+    for path in folder.glob(".*.parquet.*.partial"):
+        with suppress(OSError):
+            path.unlink()

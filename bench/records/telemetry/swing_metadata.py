@@ -28,7 +28,7 @@ In addition to `schema_version` and `enumerations` (`bench.records.telemetry.rec
                  `long_tick`, `machine`: stolen time, interrupts)
 `drift`          of a whole swing through the ball's place, else null or missing: `club_speed_mps`;
                  `ball_met_m`, where the encoders saw the head at the strike, along the ground; the medians of
-                 the first swings with the same tables; `warnings`; see `bench.records.shot.swing_drift`
+                 the first swings with the same tables; `warnings`; see `bench.records.shot.strike`
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ import base64
 import json
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from datetime import UTC, datetime
 from hashlib import sha256
 from math import floor
@@ -47,7 +47,6 @@ import numpy as np
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, State
-from bench.records.telemetry.shot_id import shot_id
 from bench.records.telemetry.swing_cutter import MOVING, Cycles, RecordSegment
 from bench.swing.profile import Profile
 
@@ -57,43 +56,19 @@ _MAX_PROFILE_BYTES = 64 << 20
 """Bytes of a profile's JSON."""
 
 
-@dataclass(frozen=True)
-class RunMetadata:
-    """Values shared by all records of one run; JSON-able, without NaN."""
+def run_entries(profile: Profile, **shared: Any) -> dict[str, Any]:
+    """Return the keys that all records of a run share: its profile, and the `shared` ones as they are.
 
-    bench: str
-    run: str
-    profile: Profile
-    configuration: Mapping[str, Any]
-    versions: Mapping[str, Any]
-    real_time: Mapping[str, Any]
-    calibrations: Mapping[str, Any]
-
-    def entries(self) -> dict[str, Any]:
-        """Return their keys of the metadata.
-
-        Raises:
-            BenchError: a value cannot be written as JSON, for example NaN.
-        """
-        given = {
-            "bench": self.bench,
-            "run": self.run,
-            "configuration": self.configuration,
-            "versions": self.versions,
-            "real_time": self.real_time,
-            "calibrations": self.calibrations,
-            "profile": profile_entry(self.profile),
-        }
-        try:
-            entries: dict[str, Any] = json.loads(json.dumps(given, allow_nan=False))
-        except (TypeError, ValueError) as error:
-            raise BenchError(
-                "metadata of records",
-                str(error),
-                "values that JSON can hold, no NaN",
-                "Report this error with the record.",
-            ) from error
-        return entries
+    Raises:
+        BenchError: a value cannot be written as JSON, for example NaN.
+    """
+    try:
+        given = json.dumps(shared | {"profile": profile_entry(profile)}, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        expected, action = "values that JSON can hold, no NaN", "Report this error with the record."
+        raise BenchError("metadata of records", str(error), expected, action) from error
+    entries: dict[str, Any] = json.loads(given)
+    return entries
 
 
 def swing_metadata(
@@ -107,7 +82,7 @@ def swing_metadata(
 ) -> dict[str, Any]:
     """Return the metadata of record `number` with the cycles of `cut` (loop's times, at least one).
 
-    `entries` are those of Surroundings; of `snapshots` (one-element arrays with `tick` and `time`) the first
+    `entries` are those of the run; of `snapshots` (one-element arrays with `tick` and `time`) the first
     that the record can be replayed from is stored.
     """
     cycles = cut.cycles
@@ -226,3 +201,13 @@ def read_profile(metadata: Mapping[str, Any], location: str) -> Profile:
             "the profile's data",
             "Replay a record that the daemon wrote, or restore it from a copy.",
         ) from error
+
+
+def run_id(start: datetime) -> str:
+    """Return the id of a bench's run from `start` on; ticks count from there."""
+    return f"{start.astimezone(UTC):%Y%m%dT%H%M%SZ}"
+
+
+def shot_id(run: str, tick: int) -> str:
+    """Return the id of the shot whose swing began at `tick` of `run`."""
+    return f"{run}-{tick}"

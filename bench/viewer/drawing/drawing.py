@@ -13,8 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import BenchError
-from bench.viewer.drawing.bodies import BALL, CYLINDER, FRAME, GAP, GUARD, STEEL, TEE, DrawnBody, Part
+from bench.viewer.drawing.bodies import (
+    BALL,
+    CYLINDER,
+    FRAME,
+    GUARD,
+    STEEL,
+    TEE,
+    Bar,
+    DrawnBody,
+    Ellipsoid,
+    Mesh,
+    Part,
+    Tube,
+    placed_mesh,
+    vector,
+)
 from bench.viewer.drawing.links import (
+    GAP,
     club_body,
     layers_of,
     left_arm,
@@ -23,11 +39,9 @@ from bench.viewer.drawing.links import (
     shoulder_link,
     wrist_rod,
 )
-from bench.viewer.drawing.solids import Bar, Ellipsoid, Mesh, Tube, placed_mesh
 from sim.kinematics import UnreachablePose, inverse_kinematics, joint_positions
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
-from sim.vectors import Vector
 
 Array = NDArray[np.float64]
 
@@ -129,20 +143,15 @@ def stand(plant: PlantParameters) -> DrawnBody:
     return DrawnBody(
         "stand",
         (
-            Part("saddle", Tube(_point(top), _point(saddle), 0.05), FRAME),
+            Part("saddle", Tube(vector(top), vector(saddle), 0.05), FRAME),
             *(Part(f"leg {number}", leg, FRAME) for number, leg in enumerate(legs, 1)),
             *(Part(f"foot {number}", plate, FRAME) for number, plate in enumerate(plates, 1)),
         ),
     )
 
 
-def _point(values: np.ndarray) -> Vector:
-    x, y, z = map(float, values)
-    return x, y, z
-
-
 def _strut(start: np.ndarray, end: np.ndarray) -> Tube:
-    return Tube(_point(start), _point(end), _STRUT, _STRUT - _STRUT_WALL)
+    return Tube(vector(start), vector(end), _STRUT, _STRUT - _STRUT_WALL)
 
 
 def tee(plant: PlantParameters) -> DrawnBody:
@@ -154,7 +163,7 @@ def tee(plant: PlantParameters) -> DrawnBody:
 
 def ball(plant: PlantParameters) -> DrawnBody:
     """Return the ball at rest in the golf frame."""
-    radius, centre = plant.ball.radius, _point(ball_at_rest(plant.robot, plant.site, plant.ball.radius))
+    radius, centre = plant.ball.radius, vector(ball_at_rest(plant.robot, plant.site, plant.ball.radius))
     return DrawnBody("ball", (Part("ball", Ellipsoid((radius,) * 3, centre), BALL),))
 
 

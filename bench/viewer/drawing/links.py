@@ -1,11 +1,16 @@
 """Shoulder link, left arm with the wrist's actuator, and the club in its mount, as heavy as assumed.
 
 The right arm, rod with eye and piston, and cylinder, lies along x of its frames.
+
+Bodies lie along the normal of the swing plane so that they pass each other. The club swings in the plane
+itself, z = 0; the left arm lies before it, the right arm and the vane drive behind. All are assumptions: the
+dynamics are those of a plane.
 """
 
 from __future__ import annotations
 
 from math import cos, pi, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,31 +20,66 @@ from bench.viewer.drawing.bodies import (
     CHROME,
     COMPOSITE,
     CYLINDER,
-    GAP,
     HEAD,
-    LEVER_HEIGHT,
     MOUNT,
-    MOUNT_HEIGHT,
-    PIN,
-    PLATE_HEIGHT,
     SHAFT_STEEL,
     STEEL,
-    WALL,
-    YOKE_HEIGHT,
+    Bar,
+    Bore,
     DrawnBody,
-    Layers,
+    Ellipsoid,
     Material,
     Part,
-    bore_radius,
-    envelope,
-    layers,
-    rod_radius,
-    wrist_ways,
+    Solid,
+    Tube,
+    Turn,
+    vector,
 )
-from bench.viewer.drawing.solids import Bar, Bore, Ellipsoid, Solid, Tube, Turn
 from sim.plant import PlantParameters, Site
+from sim.pneumatics import Actuator
 from sim.robot import Body, Club, RobotParameters
 from sim.vectors import Vector
+
+PIN = 0.005
+"""Radius of the joints' pins."""
+GAP = 0.004
+MOUNT_HEIGHT = 0.024
+PLATE_HEIGHT = 0.006
+LEVER_HEIGHT = 0.010
+YOKE_HEIGHT = 0.010
+WALL = 0.0025
+"""Wall of a cylinder, assumed."""
+
+
+def bore_radius(actuator: Actuator) -> float:
+    """Return the radius of a cylinder's bore (m), from its full area."""
+    return sqrt(max(actuator.area_a, actuator.area_b) / pi)
+
+
+def rod_radius(actuator: Actuator) -> float:
+    """Return the radius of a rod (m), from the areas' difference; at least a third of the bore's radius."""
+    least = bore_radius(actuator) / 3
+    return max(sqrt(abs(actuator.area_a - actuator.area_b) / pi), least)
+
+
+class Layers(NamedTuple):
+    """Heights over the swing plane (m): middles of the bodies, front of the drive."""
+
+    arm: float
+    arm_front: float
+    lever: float
+    yoke: float
+    right_arm: float
+    drive: float
+
+
+def wrist_ways(plant: PlantParameters) -> tuple[float, float]:
+    """Return the ends of that way over the wrist's range with its clearance (m)."""
+    low, high = plant.wrist.chamber_ends
+    turns = np.linspace(low, high, 721)
+    ways = plant.wrist_stroke(turns)
+    return float(ways.min()), float(ways.max())
+
 
 _INCH = 0.0254
 LINK_WIDTH = 2 * _INCH
@@ -81,7 +121,15 @@ def _arm_size(plant: PlantParameters) -> tuple[float, float, float]:
 
 def layers_of(plant: PlantParameters) -> Layers:
     """Return the heights of all bodies over the swing plane."""
-    return layers(plant, _link_size(plant)[2], _arm_size(plant)[2])
+    link, arm = _link_size(plant)[2], _arm_size(plant)[2]
+    clear = max(link, MOUNT_HEIGHT) / 2 + GAP
+    front = clear + arm
+    lever = front + PLATE_HEIGHT + GAP + LEVER_HEIGHT / 2
+    yoke = lever + LEVER_HEIGHT / 2 + GAP + YOKE_HEIGHT / 2
+    cylinder = bore_radius(plant.right_arm) + WALL
+    right = -clear - cylinder
+    yoke = max(yoke, front + bore_radius(plant.wrist) + WALL)
+    return Layers(clear + arm / 2, front, lever, yoke, right, right - cylinder - 2 * GAP)
 
 
 def shoulder_link(plant: PlantParameters) -> DrawnBody:
@@ -328,11 +376,6 @@ def _columns(*axes: np.ndarray) -> Turn:
     return first, second, third  # type: ignore[return-value]
 
 
-def _vector(values: np.ndarray) -> Vector:
-    x, y, z = map(float, values)
-    return x, y, z
-
-
 def head_half_sizes(club: Club) -> Vector:
     """Return half depth, half height and half width (m) of a head with about the club's head inertias.
 
@@ -366,13 +409,18 @@ def _head(robot: RobotParameters, site: Site) -> tuple[Part, ...]:
     rise = height - site.sole_depth * sin(robot.lie)
     if club.head_depth < _WOOD_DEPTH:
         blade = Bar(
-            (2 * depth, 2 * height, 2 * width), _vector(face - depth * normal + rise * up), turn=tilted
+            (2 * depth, 2 * height, 2 * width), vector(face - depth * normal + rise * up), turn=tilted
         )
         return (_of_mass("head", blade, CHROME, club.head_mass),)
-    centre = _vector(face - club.head_depth * ahead + rise * up)
+    centre = vector(face - club.head_depth * ahead + rise * up)
     head = Ellipsoid(half, centre, _columns(ahead, up, toe), cut=club.head_depth)
-    plate = Ellipsoid((0.003, 0.8 * height, 0.8 * width), _vector(face - 0.003 * normal), tilted)
+    plate = Ellipsoid((0.003, 0.8 * height, 0.8 * width), vector(face - 0.003 * normal), tilted)
     return _of_mass("head", head, HEAD, club.head_mass), Part("face", plate, CHROME._replace(density=0.0))
+
+
+def envelope(material: Material, mass: float, volume: float) -> Material:
+    """Return `material` with the mean density of a bought part of `mass` (kg) drawn as `volume` (m3)."""
+    return material._replace(density=mass / volume)
 
 
 def _of_mass(name: str, solid: Solid, material: Material, mass: float) -> Part:

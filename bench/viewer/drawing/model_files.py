@@ -1,7 +1,10 @@
-"""The robot as URDF for simulators, and at address as one binary glTF file (.glb) for people.
+"""The robot as URDF for simulators, at address as glTF for people and STEP for a workshop, and its masses.
 
-glTF: one node a body, with its pose; below it one mesh with a primitive for each colour. Metres, Y up, X
-along the target line: the golf frame is glTF's own.
+STEP: exact solids, one labelled assembly a body, millimetres, Z up, X along the target line, as in the URDF.
+It needs build123d (extra `cad`).
+
+glTF: one binary file (.glb); one node a body, with its pose; below it one mesh with a primitive for each
+colour. Metres, Y up, X along the target line: the golf frame is glTF's own.
 
 URDF has inertias of the dynamics, drawn meshes, outlines of the clearance checks. It is a tree, the robot has
 a loop: the right arm's cylinder hangs from its rod, and the two links `right_shoulder` (on the shoulder link)
@@ -19,6 +22,8 @@ ground a line. Here the same settings become solids; the checks' numbers stay th
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import struct
 from collections.abc import Sequence
@@ -30,50 +35,27 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.records.telemetry.atomic_file import atomic_file
-from bench.viewer.drawing.bodies import Colour, DrawnBody, Part
+from bench.base.errors import BenchError
+from bench.records.telemetry.atomic_file import atomic_file, atomic_path
+from bench.viewer.drawing.bodies import (
+    Bar,
+    Colour,
+    DrawnBody,
+    Ellipsoid,
+    Mesh,
+    Part,
+    Solid,
+    Tube,
+    joined_meshes,
+    write_stl,
+)
 from bench.viewer.drawing.drawing import Array, PlacedBody, draw, plane_to_golf
-from bench.viewer.drawing.solids import Mesh, joined_meshes, write_stl
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 
 _FLOAT, _UNSIGNED = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _GLTF, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-
-
-class _Buffer:
-    """The binary chunk with its views and accessors."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def add(self, values: np.ndarray, kind: str, component: int, target: int) -> int:
-        """Append `values`; return the accessor's index."""
-        raw = values.tobytes()
-        self.views.append(
-            {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw), "target": target}
-        )
-        self.data += raw
-        accessor = {"bufferView": len(self.views) - 1, "componentType": component, "type": kind}
-        accessor |= {"count": len(values)}
-        if kind == "VEC3":
-            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
-
-    def primitive(self, mesh: Mesh, material: int) -> dict[str, Any]:
-        """Append a mesh; return its primitive."""
-        position = self.add(mesh.vertices.astype("<f4"), "VEC3", _FLOAT, _VERTICES)
-        normal = self.add(mesh.normals.astype("<f4"), "VEC3", _FLOAT, _VERTICES)
-        indices = self.add(mesh.triangles.astype("<u4").ravel(), "SCALAR", _UNSIGNED, _INDICES)
-        return {
-            "attributes": {"POSITION": position, "NORMAL": normal},
-            "indices": indices,
-            "material": material,
-        }
 
 
 def by_colour(body: DrawnBody) -> dict[Colour, list[Part]]:
@@ -94,36 +76,56 @@ def _material(colour: Colour) -> dict[str, Any]:
 def gltf(bodies: Sequence[PlacedBody]) -> bytes:
     """Return the bodies as a binary glTF file."""
     colours = list(dict.fromkeys(colour for one in bodies for colour in by_colour(one.body)))
-    buffer, meshes, nodes = _Buffer(), [], []
-    for one in bodies:
-        primitives = [
-            buffer.primitive(joined_meshes([part.solid.mesh for part in parts]), colours.index(colour))
-            for colour, parts in by_colour(one.body).items()
-        ]
-        meshes.append({"name": one.body.name, "primitives": primitives})
-        nodes.append(
-            {
-                "name": one.body.name,
-                "mesh": len(meshes) - 1,
-                "translation": [float(value) for value in one.at],
-                "rotation": Rotation.from_matrix(one.turn).as_quat().tolist(),
-            }
+    data = bytearray()
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+
+    def added(values: np.ndarray, kind: str, component: int, target: int) -> int:
+        """Append `values` to the binary chunk; return the accessor's index."""
+        raw = values.tobytes()
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(raw), "target": target})
+        data.extend(raw)
+        accessor = {"bufferView": len(accessors), "componentType": component, "type": kind}
+        accessor |= {"count": len(values)}
+        if kind == "VEC3":
+            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+        accessors.append(accessor)
+        return len(accessors) - 1
+
+    def primitive(colour: Colour, parts: list[Part]) -> dict[str, Any]:
+        mesh = joined_meshes([part.solid.mesh for part in parts])
+        position, normal = (
+            added(values.astype("<f4"), "VEC3", _FLOAT, _VERTICES) for values in (mesh.vertices, mesh.normals)
         )
+        indices = added(mesh.triangles.astype("<u4").ravel(), "SCALAR", _UNSIGNED, _INDICES)
+        attributes = {"POSITION": position, "NORMAL": normal}
+        return {"attributes": attributes, "indices": indices, "material": colours.index(colour)}
+
     content = {
         "asset": {"version": "2.0", "generator": "golfbench"},
         "scene": 0,
-        "scenes": [{"name": "golfbench", "nodes": list(range(len(nodes)))}],
-        "nodes": nodes,
-        "meshes": meshes,
+        "scenes": [{"name": "golfbench", "nodes": list(range(len(bodies)))}],
+        "nodes": [
+            {
+                "name": one.body.name,
+                "mesh": number,
+                "translation": [float(value) for value in one.at],
+                "rotation": Rotation.from_matrix(one.turn).as_quat().tolist(),
+            }
+            for number, one in enumerate(bodies)
+        ],
+        "meshes": [
+            {"name": one.body.name, "primitives": [primitive(*part) for part in by_colour(one.body).items()]}
+            for one in bodies
+        ],
         "materials": [_material(colour) for colour in colours],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{"byteLength": len(buffer.data)}],
+        "accessors": accessors,
+        "bufferViews": views,
     }
-    text = json.dumps(content, separators=(",", ":")).encode()
+    text = json.dumps(content | {"buffers": [{"byteLength": len(data)}]}, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<II", len(text), _JSON) + text
-    chunks += struct.pack("<II", len(buffer.data), _BINARY) + bytes(buffer.data)
+    chunks += struct.pack("<II", len(data), _BINARY) + bytes(data)
     return struct.pack("<III", _GLTF, 2, 12 + len(chunks)) + chunks
 
 
@@ -134,36 +136,7 @@ def write_gltf(path: Path, bodies: Sequence[PlacedBody]) -> None:
 
 
 _FRAME_LENGTH = 0.10
-
-
-class CollisionOutline(NamedTuple):
-    """Outlines in their bodies' frames (m); the club's line is as thick as its shaft."""
-
-    club_length: float
-    """Line of the club from R3 to the centre of the face."""
-    club_radius: float
-    sole_radius: float
-    """Ball round the centre of the face whose lowest point is the sole."""
-    min_frame_distance: float
-    """Cylinder round R1, `frame_length` long across the swing plane."""
-    frame_length: float
-    ground: float
-    """Height of the ground line in the swing plane."""
-
-
-def collision_outline(plant: PlantParameters, min_frame_distance: float) -> CollisionOutline:
-    """Return the outlines of a plant; `min_frame_distance` is the envelope's (m)."""
-    club, site = plant.robot.club, plant.site
-    return CollisionOutline(
-        club.length_to_face,
-        club.shaft_radius,
-        site.sole_depth,
-        min_frame_distance,
-        _FRAME_LENGTH,
-        site.ground,
-    )
-
-
+"""Length of the frame's cylinder round R1, across the swing plane (m)."""
 MESHES = "meshes"
 """Folder of the meshes, next to the URDF."""
 CLOSURE = ("right_shoulder", "right_shoulder_of_cylinder")
@@ -205,8 +178,10 @@ def joints(plant: PlantParameters) -> list[Hinge]:
     ]
 
 
-def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) -> list[Path]:
+def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) -> list[Path]:
     """Write `golfbench.urdf`, its meshes and `closure.json` into `folder`; return the files.
+
+    `min_frame_distance` is the envelope's (m).
 
     Raises NotStored if one cannot be written.
     """
@@ -221,7 +196,7 @@ def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) 
         _fixed(robot, "ground", body.name, rotation=Y_UP_TO_Z_UP)
     axes, origin = plane_to_golf(plant.robot, plant.site)
     plane = _link(robot, "swing_plane")
-    _cylinder(SubElement(plane, "collision"), outline.min_frame_distance, outline.frame_length)
+    _cylinder(SubElement(plane, "collision"), min_frame_distance, _FRAME_LENGTH)
     _fixed(robot, "ground", "swing_plane", Y_UP_TO_Z_UP @ origin, Y_UP_TO_Z_UP @ axes)
     for body in drawing.fixed_in_plane:
         files += _visuals(_link(robot, body.name), folder, body)
@@ -232,7 +207,7 @@ def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) 
             _inertial(link, body)
             files += _visuals(link, folder, body)
             if body.name == "club":
-                _club_outline(link, outline)
+                _club_outline(link, plant)
     for hinge in joints(plant):
         _joint(robot, hinge)
     for frame, parent, x in (
@@ -297,22 +272,14 @@ def _cylinder(
     SubElement(SubElement(collision, "geometry"), "cylinder", radius=repr(radius), length=repr(length))
 
 
-def _club_outline(link: Element, outline: CollisionOutline) -> None:
+def _club_outline(link: Element, plant: PlantParameters) -> None:
     """Add the club of the clearance checks: its line, and the ball whose lowest point is the sole."""
-    length = outline.club_length
+    length = plant.robot.club.length_to_face
     collision = SubElement(link, "collision")
-    _cylinder(collision, outline.club_radius, length, f"{length / 2!r} 0 0", f"0 {pi / 2!r} 0")
+    _cylinder(collision, plant.robot.club.shaft_radius, length, f"{length / 2!r} 0 0", f"0 {pi / 2!r} 0")
     sole = SubElement(link, "collision")
     SubElement(sole, "origin", xyz=f"{length!r} 0 0", rpy="0 0 0")
-    SubElement(SubElement(sole, "geometry"), "sphere", radius=repr(outline.sole_radius))
-
-
-def _angles(rotation: Array) -> str:
-    """Return roll, pitch, yaw (rad) of a rotation matrix."""
-    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
-    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
-    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-    return " ".join(repr(float(angle)) for angle in (roll, pitch, yaw))
+    SubElement(SubElement(sole, "geometry"), "sphere", radius=repr(plant.site.sole_depth))
 
 
 def _fixed(
@@ -321,7 +288,8 @@ def _fixed(
     """Add a joint that does not move."""
     joint = SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
     xyz = " ".join(repr(float(value)) for value in (np.zeros(3) if at is None else at))
-    SubElement(joint, "origin", xyz=xyz, rpy=_angles(np.eye(3) if rotation is None else rotation))
+    rpy = [] if rotation is None else Rotation.from_matrix(rotation).as_euler("xyz").tolist()
+    SubElement(joint, "origin", xyz=xyz, rpy=" ".join(map(repr, rpy)))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
 
@@ -360,3 +328,149 @@ def _write_closure(folder: Path, plant: PlantParameters) -> Path:
     with atomic_file(path) as stream:
         stream.write(json.dumps(text, indent=2).encode() + b"\n")
     return path
+
+
+REASONS = {
+    "shoulder_link": "bar exact; its bores and the pins of R2 and R6 are not in the dynamics",
+    "left_arm": "bar, plate and cylinder exact; the bores of R2 and R3 are not in the dynamics",
+    "club": "the dynamics hold mount and head as points on the shaft's line, the head at the shaft's end",
+    "right_arm_rod": "rod, piston and eye over the whole stroke; the thesis has the inertia of a 0.2 m rod",
+    "right_arm_cylinder": "caps at both ends; the thesis has a uniform bar",
+}
+"""Cause of a difference, by body."""
+
+
+class MassRow(NamedTuple):
+    """One body: assumed in the dynamics, drawn in its frame. Central inertia about the plane's normal."""
+
+    body: str
+    mass_assumed_kg: float
+    mass_drawn_kg: float
+    com_x_assumed_m: float
+    com_x_drawn_m: float
+    com_y_drawn_m: float
+    inertia_assumed_kg_m2: float
+    inertia_drawn_kg_m2: float
+    pins_kg: float
+    """Mass of pins less that of bores, in the drawn mass."""
+    reason: str
+
+
+def mass_rows(plant: PlantParameters) -> list[MassRow]:
+    """Return a row for each body of the dynamics."""
+    return [_row(body) for body in draw(plant).moving if body.assumed is not None]
+
+
+def _row(body: DrawnBody) -> MassRow:
+    assumed, drawn = body.assumed, body.weighed
+    if assumed is None:
+        raise ValueError(f"{body.name} has no body in the dynamics")
+    return MassRow(
+        body.name,
+        assumed.mass,
+        drawn.volume,
+        assumed.centre_of_mass,
+        float(drawn.centroid[0]),
+        float(drawn.centroid[1]),
+        assumed.inertia,
+        float(drawn.inertia[2, 2]),
+        drawn.volume - body.without_joints.volume,
+        REASONS[body.name],
+    )
+
+
+def write_mass_table(path: Path, rows: list[MassRow]) -> None:
+    """Write `rows` as CSV to `path`, units in the column names. Raises NotStored."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(MassRow._fields)
+    writer.writerows(rows)
+    with atomic_file(path) as stream:
+        stream.write(text.getvalue().encode())
+
+
+_MM = 1000.0
+
+
+def load_build123d() -> Any:
+    """Return the package.
+
+    Raises:
+        BenchError: it is not installed.
+    """
+    try:
+        import build123d
+    except ImportError as error:
+        found = f"no package build123d ({error})"
+        action = 'pip install "golfbench[cad]"; glTF and URDF need nothing more'
+        raise BenchError("draw --format step", found, "the extra that makes exact solids", action) from error
+    return build123d
+
+
+def _location(b: Any, turn: Any, at: Any) -> Any:
+    """Return the place of a rotation matrix and a point (mm)."""
+    rotation = np.array(turn)
+    x, z = (tuple(map(float, rotation[:, axis])) for axis in (0, 2))
+    return b.Plane(origin=tuple(map(float, at)), x_dir=x, z_dir=z).location
+
+
+def solid_shape(b: Any, solid: Solid) -> Any:
+    """Return `solid` as a shape of build123d, `b`, in mm."""
+    match solid:
+        case Bar():
+            shape = b.Solid.make_box(*(_MM * size for size in solid.size))
+            shape = shape.moved(b.Location(tuple(-_MM * size / 2 for size in solid.size)))
+            height = _MM * solid.size[2]
+            for bore in solid.bores:
+                drill = b.Solid.make_cylinder(_MM * bore.radius, 2 * height)
+                shape = shape.cut(drill.moved(b.Location((_MM * bore.x, _MM * bore.y, -height))))
+            return shape.moved(_location(b, solid.turn, _MM * np.array(solid.centre)))
+        case Tube():
+            way = tuple(map(float, np.array(solid.end) - np.array(solid.start)))
+            shape = b.Solid.make_cylinder(_MM * solid.outer, _MM * solid.length)
+            if solid.inner > 0:
+                shape = shape.cut(b.Solid.make_cylinder(_MM * solid.inner, _MM * solid.length))
+            return shape.moved(b.Plane(origin=tuple(_MM * v for v in solid.start), z_dir=way).location)
+        case Ellipsoid(cut=None) if len(set(solid.half)) == 1:
+            ball = b.Solid.make_sphere(_MM * solid.half[0], angle1=-90, angle2=90, angle3=360)
+            return ball.moved(b.Location(tuple(_MM * value for value in solid.centre)))
+        case Ellipsoid():
+            return _faceted(b, solid.mesh)
+
+
+def _faceted(b: Any, mesh: Mesh) -> Any:
+    """Return a mesh as a faceted solid: CAD programs misread the surfaces of scaled spheres."""
+    corners = _MM * mesh.vertices[mesh.triangles]
+    faces = [b.Face(b.Wire.make_polygon([tuple(map(float, c)) for c in triangle])) for triangle in corners]
+    return b.Solid(b.Shell(faces))
+
+
+def _one(shape: Any) -> Any:
+    """Return the only solid of `shape`; ValueError unless there is exactly one."""
+    solids = shape.solids()
+    if len(solids) != 1:
+        raise ValueError(f"{len(solids)} solids, expected one")
+    return solids[0]
+
+
+def step_assembly(b: Any, bodies: Sequence[PlacedBody]) -> Any:
+    """Return the bodies as a labelled, coloured assembly; `b` is build123d."""
+    assemblies = []
+    for one in bodies:
+        location = _location(b, Y_UP_TO_Z_UP @ one.turn, _MM * (Y_UP_TO_Z_UP @ one.at))
+        children = []
+        for part in one.body.parts:
+            shape = _one(solid_shape(b, part.solid)).moved(location)
+            shape.label = part.name
+            shape.color = b.Color(*(value / 255 for value in part.material.colour))
+            children.append(shape)
+        assemblies.append(b.Compound(label=one.body.name, children=children))
+    return b.Compound(label="golfbench", children=assemblies)
+
+
+def write_step(path: Path, bodies: Sequence[PlacedBody]) -> None:
+    """Write the bodies to `path`. Raises NotStored, BenchError without build123d."""
+    b = load_build123d()
+    assembly = step_assembly(b, bodies)
+    with atomic_path(path) as partial:
+        b.export_step(assembly, str(partial))

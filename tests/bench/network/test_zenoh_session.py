@@ -175,7 +175,7 @@ from bench.viewer.feed import Feed
 network = NetworkSettings(sys.argv[1])
 session = open_client(network, "bench1")
 client = sys.argv[2] == "client"
-made = BenchClient(session, "bench1", network, 1.0) if client else Feed(session, "bench1", id)
+made = BenchClient(session, "bench1", network, 1.0) if client else Feed(session, "bench1")
 print("open", flush=True)
 sys.stdin.readline()  # now the bench stands still
 end = time.monotonic() + 0.5

@@ -5,10 +5,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
 
 from bench.base.lifecycle import State
-from bench.network.zenoh_session import NoAnswer
+from bench.network.zenoh_session import open_client
 from bench.viewer.feed import Arrived, Feed
 from tests.bench.records.telemetry.fake_bench import BENCH, FakeBench, fake_bench, loopback
 
@@ -45,10 +44,9 @@ def subscribed(bench: FakeBench, heard: Heard) -> None:
 
 def test_feed_delivers_cycles_in_order_without_loss(make_day: MakeDay) -> None:
     network = loopback()
-    with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
+    with fake_bench(network) as bench, Feed(open_client(network, BENCH), BENCH) as feed:
         heard = Heard(feed)
         subscribed(bench, heard)
-        assert feed.connected
         bench.send(make_day([(State.READY, 200)]))
         bench.tell("event", event="change", state="ARMED")
         heard.until(lambda: len(heard.ticks) == 200 and ("event" in dict(heard.messages)))
@@ -60,7 +58,7 @@ def test_feed_delivers_cycles_in_order_without_loss(make_day: MakeDay) -> None:
 
 def test_feed_counts_losses_of_network_and_ring(make_day: MakeDay) -> None:
     network, day = loopback(), make_day([(State.READY, 60)])
-    with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
+    with fake_bench(network) as bench, Feed(open_client(network, BENCH), BENCH) as feed:
         heard = Heard(feed)
         subscribed(bench, heard)
         bench.lost = 7  # before this viewer was there: not its loss
@@ -75,7 +73,7 @@ def test_feed_counts_losses_of_network_and_ring(make_day: MakeDay) -> None:
 
 def test_feed_slow_viewer_drops_oldest_batches(make_day: MakeDay) -> None:
     network, day = loopback(), make_day([(State.READY, 20)])
-    with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
+    with fake_bench(network) as bench, Feed(open_client(network, BENCH), BENCH) as feed:
         heard = Heard(feed)
         subscribed(bench, heard)
         bench.send(day)
@@ -92,7 +90,7 @@ def test_feed_slow_viewer_drops_oldest_batches(make_day: MakeDay) -> None:
 def test_feed_bench_restart_resumes_and_counts_restart(make_day: MakeDay) -> None:
     network, day = loopback(), make_day([(State.READY, 40)])
     with fake_bench(network) as bench:
-        feed = Feed.connect(network, BENCH, time.time)
+        feed = Feed(open_client(network, BENCH), BENCH)
         heard = Heard(feed)
         subscribed(bench, heard)
         bench.send(day[:20])
@@ -113,7 +111,7 @@ def test_feed_bench_restart_resumes_and_counts_restart(make_day: MakeDay) -> Non
 
 def test_feed_invalid_messages_are_counted(make_day: MakeDay) -> None:
     network = loopback()
-    with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
+    with fake_bench(network) as bench, Feed(open_client(network, BENCH), BENCH) as feed:
         heard = Heard(feed)
         subscribed(bench, heard)
         bench.put("telemetry", b"cycles")
@@ -123,8 +121,3 @@ def test_feed_invalid_messages_are_counted(make_day: MakeDay) -> None:
         bench.send(make_day([(State.READY, 20)]))
         heard.until(lambda: len(heard.ticks) == 20 and feed.account.invalid == 4)
         assert feed.fault
-
-
-def test_feed_without_bench_raises_no_answer() -> None:
-    with pytest.raises(NoAnswer):
-        Feed.connect(loopback(), BENCH, time.time)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Phase
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import ShotRecord
+from bench.records.shot.strike import SWINGING
 from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.drawing.drawing import ball_at_rest, body_poses, draw, plane_to_golf
 from bench.viewer.recording import layout_for, swing_span, write_recording
-from bench.viewer.signals import SWINGING
 from sim.ball import Ball
 from sim.kinematics import joint_positions
 from sim.plant import PlantParameters, Site

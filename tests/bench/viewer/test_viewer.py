@@ -8,6 +8,7 @@ import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ import pytest
 import rerun as rr
 
 from bench.base.lifecycle import Cause, Phase, State
-from bench.records.shot.recorded_shot import FlightConditions, flight_of, shot_to_json
-from bench.records.shot.shot_record import ShotRecord
+from bench.network.zenoh_session import open_client
+from bench.records.shot.recorded_shot import FlightConditions, flight_of, shot_of_cycles, shot_to_json
+from bench.records.shot.shot import ShotRecord
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.recorder import read_swing, write_swing
 from bench.viewer.feed import Feed
@@ -113,6 +115,15 @@ class Watched:
         self.bench.send(cycles)
         self.until(lambda: self.cycles >= before + len(cycles))
 
+    def swing(self, cycles: Cycles, plant: PlantParameters) -> None:
+        """Send a swing, then its shot as the recorder publishes it."""
+        now, around = datetime.now(UTC), FlightConditions()
+        shot = shot_of_cycles(cycles, plant, around, number=1, time_utc=now).shot  # compiles for long
+        self.send(cycles)
+        shown = len(self.view.shots.records)
+        self.bench.tell("shot", version=1, shot=shot_to_json(shot))
+        self.until(lambda: len(self.view.shots.records) > shown)
+
     def recording(self) -> Recording:
         self._stream.disconnect()
         return Recording(self._file)
@@ -121,7 +132,7 @@ class Watched:
 @pytest.fixture
 def watched(tmp_path: Path, plant: PlantParameters) -> Iterator[Watched]:
     network, file = loopback(), tmp_path / "live.rrd"
-    with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
+    with fake_bench(network) as bench, Feed(open_client(network, BENCH), BENCH) as feed:
         stream = rr.RecordingStream("golfbench")
         stream.set_sinks(rr.FileSink(file, write_footer=False))
         view = LiveView(stream, feed, BENCH, plant, FlightConditions())
@@ -155,12 +166,12 @@ def test_live_view_shows_values_of_record(
 
 
 def test_live_view_clock_set_back_still_renews_status(
-    watched: Watched, make_swing: Callable[[int], Cycles]
+    watched: Watched, make_swing: Callable[[int], Cycles], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cycles = make_swing(1)
+    cycles, now = make_swing(1), time.time
     watched.send(cycles[:500])
     watched.until(lambda: np.isfinite(watched.view._shown))
-    watched.view._clock = lambda: time.time() - 3600.0
+    monkeypatch.setattr(time, "time", lambda: now() - 3600.0)
     shown = watched.view._shown
     watched.send(cycles[500:1000])
     watched.until(lambda: watched.view._shown > shown)
@@ -168,10 +179,9 @@ def test_live_view_clock_set_back_still_renews_status(
 
 
 def test_live_view_swing_shows_figures_and_flight(
-    watched: Watched, make_swing: Callable[[int], Cycles]
+    watched: Watched, make_swing: Callable[[int], Cycles], plant: PlantParameters
 ) -> None:
-    cycles = make_swing(1)
-    watched.send(cycles)
+    watched.swing(make_swing(1), plant)
     (record,) = watched.view.shots.records
     assert record.shot.delivery_source == "encoders+model"
     assert record.shot.carry_source == "model"
@@ -190,7 +200,7 @@ def test_live_view_ball_follows_flight_in_time(
     watched: Watched, make_swing: Callable[[int], Cycles], plant: PlantParameters
 ) -> None:
     cycles = make_swing(1)
-    watched.send(cycles)
+    watched.swing(cycles, plant)
     rest = np.tile(cycles[-1:], 12_000)
     rest["tick"] += np.arange(1, 12_001)
     rest["time"] += np.arange(1, 12_001) * 1e-3
@@ -208,12 +218,14 @@ def test_live_view_ball_follows_flight_in_time(
 
 
 @pytest.mark.release
-def test_live_view_shot_memory_excludes_cycles(watched: Watched, make_swing: Callable[[int], Cycles]) -> None:
+def test_live_view_shot_memory_excludes_cycles(
+    watched: Watched, make_swing: Callable[[int], Cycles], plant: PlantParameters
+) -> None:
     swing = make_swing(1)
 
     def send(shots: int) -> None:
         for _ in range(shots):
-            watched.send(swing)
+            watched.swing(swing, plant)
             swing["tick"] += len(swing)
             swing["time"] += len(swing) * 1e-3
 
@@ -303,9 +315,6 @@ def test_live_view_launch_monitor_shot_is_shown_at_impact(
     watched: Watched, make_swing: Callable[[int], Cycles], make_records: Callable[[int], list[ShotRecord]]
 ) -> None:
     bench, view = watched.bench, watched.view
-    link = {"present": True}
-    bench.tell("state", state="ARMED", phase="HOLD", cause=None, lease=None, launch_monitor=link)
-    watched.until(lambda: view._has_monitor)
     cycles = make_swing(1)
     rest = np.tile(cycles[-1:], 1000)
     rest["tick"] += np.arange(1, 1001)

@@ -19,6 +19,7 @@ import rerun as rr
 
 from bench.base.errors import BenchError
 from bench.network.free_port import free_port
+from bench.viewer import window as window_module
 from bench.viewer.blueprint import live_blueprint
 from bench.viewer.scene import log_static_scene
 from bench.viewer.signals import bench_time, log_styles, send_scalars
@@ -41,7 +42,7 @@ def listening(pid: int) -> list[str]:
 
 @pytest.mark.live
 def test_rerun_window_web_listens_on_loopback_only() -> None:
-    with RerunWindow("web", "100MB") as window:
+    with RerunWindow(web=True) as window:
         stream = rr.RecordingStream("golfbench")
         stream.set_sinks(rr.GrpcSink(window.url), default_blueprint=live_blueprint())
         stream.log("x", rr.Scalars(1.0))
@@ -62,10 +63,13 @@ def test_rerun_window_web_listens_on_loopback_only() -> None:
 
 
 @pytest.mark.live
-def test_rerun_window_late_viewer_receives_static_scene(tmp_path: Path) -> None:
+def test_rerun_window_late_viewer_receives_static_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(window_module, "MEMORY", "10MB")  # all but the scene is dropped
     file, rows = tmp_path / "late.rrd", 20_000
     plant = PlantParameters()
-    with RerunWindow("web", "10MB") as window:
+    with RerunWindow(web=True) as window:
         stream = rr.RecordingStream("golfbench")
         stream.set_sinks(rr.GrpcSink(window.url), default_blueprint=live_blueprint())
         log_static_scene(stream, plant)
@@ -130,7 +134,7 @@ def test_rerun_window_analytics_enabled_is_refused(tmp_path: Path, monkeypatch: 
     program.chmod(0o755)
     monkeypatch.setattr("bench.viewer.window.rerun_program", lambda: program)
     with pytest.raises(BenchError, match="analytics_enabled True"):
-        RerunWindow("web", "10MB")
+        RerunWindow(web=True)
 
 
 @pytest.mark.live
@@ -164,19 +168,19 @@ def test_rerun_window_dead_viewer_reports_last_output(
     monkeypatch.setattr("bench.viewer.window.rerun_program", lambda: program)
     monkeypatch.setattr("bench.viewer.window.quiet_environment", lambda folder, e: dict(e))
     with pytest.raises(BenchError, match="ended with 3: no graphics here"):
-        RerunWindow("web", "10MB")
+        RerunWindow(web=True)
 
 
 def test_rerun_window_without_display_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(BenchError, match="--web"):
-        RerunWindow("window", "10MB")
+        RerunWindow(web=False)
 
 
 @pytest.mark.live
 def test_rerun_window_closed_viewer_is_not_alive() -> None:
-    with RerunWindow("web", "10MB") as window:
+    with RerunWindow(web=True) as window:
         assert window.alive
         os.kill(window.pid, signal.SIGTERM)
         deadline = time.monotonic() + HURRY

@@ -22,8 +22,8 @@ from bench.web.page_access import (
     checked_address,
     read_tokens,
 )
-from bench.web.page_commands import COMMANDS
 from bench.web.page_server import page_application
+from bench.web.page_service import COMMANDS
 from bench.web.request_filter import RequestFilter
 from tests.bench.certified import Folder
 from tests.bench.fake_bench_service import RunningPlane

@@ -15,7 +15,7 @@ from bench.base.lifecycle import Request, State
 from bench.config import Configuration
 from bench.network.free_port import free_port
 from bench.network.lease import MIN_SECONDS
-from bench.web import page_commands
+from bench.web import page_service
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.web.browser_tab import Tab, listens, open_tab, until_accepted
 from tests.bench.web.conftest import publishing
@@ -132,7 +132,7 @@ def test_page_silent_bench_is_shown_as_stale(
 def test_page_lost_lease_is_shown_and_not_retaken(
     browser: Any, page: RunningPage, service: FakeDesk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(page_commands, "LEASE", MIN_SECONDS)
+    monkeypatch.setattr(page_service, "LEASE", MIN_SECONDS)
     with open_tab(browser, page.url) as tab:
         tab.take_lease()
         tab.page.route("**/api/lease", lambda route: route.abort())  # the tablet is out of reach

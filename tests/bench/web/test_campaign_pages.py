@@ -185,7 +185,7 @@ def test_campaign_requests_reach_runner(page: RunningPage, configuration: Config
         for name, wanted in (("pause", "pause"), ("resume", ""), ("stop", "stop")):
             status, content = change(page, f"{OPEN}/{name}")
             assert status == 200, content
-            with archive._store() as store:
+            with archive.store() as store:
                 assert store.standing(OPEN)[2:] == (wanted, "Ann")
         assert archive.detail(OPEN)["runner"]
         status, content = change(page, f"{OPEN}/resume", seen=time.monotonic() - 60.0)
@@ -201,7 +201,7 @@ def test_campaign_answer_requires_shown_prompt(page: RunningPage, configuration:
     status, content = change(page, f"{OPEN}/answer", prompt=1, balls=2)
     assert (status, content["note"]) == (200, f"Done: {PROMPT.text}")
     assert change(page, f"{OPEN}/answer", prompt=1)[0] == 409
-    with CampaignArchive(configuration)._store() as store:
+    with CampaignArchive(configuration).store() as store:
         assert store.prompts(OPEN)[0].by == "Ann"
 
 
@@ -213,21 +213,25 @@ def test_campaign_mark_stores_note(page: RunningPage, configuration: Configurati
     assert change(page, f"{OPEN}/mark", shot=10**9, comment="")[0] == 409
     assert change(page, f"{OPEN}/mark", shot=1, comment="", by="")[0] == 400
     assert change(page, f"{OPEN}/delete")[0] == 404
-    with CampaignArchive(configuration)._store() as store:
+    with CampaignArchive(configuration).store() as store:
         assert [(note.shot, note.by, note.text) for note in store.notes(OPEN)] == [(3, "Ann", SCRIPT)]
 
 
-def test_running_campaigns_publish_on_change_only(configuration: Configuration) -> None:
-    running = RunningCampaigns(CampaignArchive(configuration))
+def test_running_campaigns_read_changed_details_only(
+    configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive, read = CampaignArchive(configuration), list[str]()
+    detail = archive.detail
+    monkeypatch.setattr(archive, "detail", lambda name: (read.append(name), detail(name))[1])
+    running = RunningCampaigns(archive)
     message = {"campaign": OPEN, "shots": 1, "state": "running", "reason": ""}
-    shown = running.changed([message])
-    assert shown is not None
-    assert shown[0]["detail"]["campaign"] == OPEN
-    assert running.changed([message]) is None
-    elsewhere = running.changed([message, message | {"campaign": "elsewhere"}])
-    assert elsewhere is not None
+    for _ in range(2):
+        assert running.view([message])[0]["detail"]["campaign"] == OPEN
+    assert read == [OPEN]
+    elsewhere = running.view([message | {"shots": 2}, message | {"campaign": "elsewhere"}])
     assert elsewhere[1]["detail"] is None
-    assert running.changed([]) == []
+    assert read == [OPEN, OPEN, "elsewhere"]
+    assert running.view([]) == []
 
 
 def test_campaign_archive_without_database_is_empty(tmp_path: Path) -> None:

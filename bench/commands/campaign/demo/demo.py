@@ -40,8 +40,7 @@ from bench.config import Configuration, database_url
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.records.shot.recorded_shot import read_shot
-from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_table import write_shot_table
+from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignEntry, CampaignState

@@ -20,10 +20,8 @@ from bench.records.shot.recorded_shot import (
     shot_of_cycles,
     shot_to_json,
 )
-from bench.records.shot.shot import ShotStatus
-from bench.records.shot.shot_record import ShotRecord
+from bench.records.shot.shot import ShotRecord, ShotStatus
 from bench.records.telemetry.recorder import write_swing
-from bench.viewer.recorded_series import record_files
 from bench.viewer.signals import effort_limits, efforts, limits_of, signals_of
 from sim.air import Air
 from sim.flight import Wind
@@ -138,21 +136,6 @@ def test_plant_of_invalid_configuration_reports_every_mistake() -> None:
         plant_of({"configuration": given}, "x.parquet")
     assert len(caught.value.exceptions) == 3
     assert plant_of({}, "x.parquet") == (PlantParameters(), FlightConditions())
-
-
-def test_record_files_accepts_folders_and_files(tmp_path: Path) -> None:
-    for name in ("b/2.parquet", "b/1.parquet", "a.parquet", "b/x.csv"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).touch()
-    assert [p.name for p in record_files([tmp_path / "b", tmp_path / "a.parquet"])] == [
-        "1.parquet",
-        "2.parquet",
-        "a.parquet",
-    ]
-    with pytest.raises(BenchError, match="no such file"):
-        record_files([tmp_path / "c"])
-    with pytest.raises(BenchError, match="no record"):
-        record_files([])
 
 
 def test_efforts_match_chamber_pressures_and_areas(make_swing: Callable[[int], Cycles]) -> None:

@@ -22,7 +22,7 @@ from bench.records.shot.shot_matcher import (
     ShotMatcher,
     SwingWatch,
 )
-from bench.records.telemetry.shot_id import shot_id
+from bench.records.telemetry.swing_metadata import shot_id
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
 from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord, RefusedRecord
 from sim.plant import PlantParameters, Site

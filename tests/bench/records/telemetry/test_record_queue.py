@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from bench.records.telemetry.cycle_record import CYCLE
-from bench.records.telemetry.record_queue import (
+from bench.records.telemetry.recorder import (
     QueuedRecord,
     RecordQueue,
     folder_fault,
+    read_swing,
     record_path,
     remove_partial,
 )
-from bench.records.telemetry.recorder import read_swing
 
 
 def record(path: Path, number: int = 1, kind: str = "swing") -> QueuedRecord:

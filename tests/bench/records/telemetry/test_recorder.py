@@ -16,7 +16,7 @@ import pytest
 from bench.base.errors import BenchError
 from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.cycle_record import CYCLE, SCHEMA_VERSION
-from bench.records.telemetry.recorder import METADATA_KEY, read_swing, write_swing
+from bench.records.telemetry.recorder import METADATA_KEY, read_swing, record_files, write_swing
 
 Cycles = np.ndarray[Any, Any]
 METADATA = {"seed": 7, "profile": "thesis", "configuration": {"rate_hz": 1000}, "shot": 3}
@@ -179,3 +179,18 @@ def test_write_swing_metadata_has_unit_of_every_column(tmp_path: Path) -> None:
     units = json.loads(stored[b"units"])
     assert list(units) == pq.read_schema(tmp_path / "swing.parquet").names
     assert (units["angle_wrist"], units["plant_effort_arm"]) == ("rad", "N")
+
+
+def test_record_files_accepts_folders_and_files(tmp_path: Path) -> None:
+    for name in ("b/2.parquet", "b/1.parquet", "a.parquet", "b/x.csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert [p.name for p in record_files([tmp_path / "b", tmp_path / "a.parquet"])] == [
+        "1.parquet",
+        "2.parquet",
+        "a.parquet",
+    ]
+    with pytest.raises(BenchError, match="no such file"):
+        record_files([tmp_path / "c"])
+    with pytest.raises(BenchError, match="no record"):
+        record_files([])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.config import VARIANTS, load_configuration
-from bench.viewer.drawing.solids import Mesh
+from bench.viewer.drawing.bodies import Mesh
 from sim.plant import PlantParameters
 
 

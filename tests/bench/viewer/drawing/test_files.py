@@ -15,11 +15,17 @@ import typer.testing
 from bench.base.errors import BenchError
 from bench.commands.cli import app
 from bench.commands.common.session import Session
-from bench.viewer.drawing.bodies import DrawnBody, Part
+from bench.viewer.drawing.bodies import DrawnBody, Ellipsoid, Part
 from bench.viewer.drawing.drawing import draw, placed
-from bench.viewer.drawing.model_files import gltf, write_gltf
-from bench.viewer.drawing.solids import Ellipsoid
-from bench.viewer.drawing.workshop_files import MassRow, load_build123d, mass_rows, solid_shape, write_step
+from bench.viewer.drawing.model_files import (
+    MassRow,
+    gltf,
+    load_build123d,
+    mass_rows,
+    solid_shape,
+    write_gltf,
+    write_step,
+)
 from sim.plant import PlantParameters
 from tests.bench.viewer.drawing.conftest import PLANTS, mesh_volume
 

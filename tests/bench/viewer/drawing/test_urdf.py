@@ -11,12 +11,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from bench.viewer.drawing.bodies import Tube
 from bench.viewer.drawing.drawing import address, plane_to_golf
 from bench.viewer.drawing.links import lever_parts
-from bench.viewer.drawing.model_files import CLOSURE, CollisionOutline, collision_outline, joints, write_urdf
-from bench.viewer.drawing.solids import Tube
+from bench.viewer.drawing.model_files import CLOSURE, joints, write_urdf
 from sim.kane import forward_dynamics
-from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters
 from sim.robot import Body, Club
 from tests.bench.viewer.drawing.conftest import PLANTS, SIZED
@@ -37,7 +36,7 @@ def plant(request: pytest.FixtureRequest) -> PlantParameters:
 @pytest.fixture(scope="module")
 def folder(plant: PlantParameters, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("urdf")
-    files = write_urdf(path, plant, collision_outline(plant, FRAME_RADIUS))
+    files = write_urdf(path, plant, FRAME_RADIUS)
     assert all(file.is_file() for file in files)
     return path
 
@@ -106,28 +105,20 @@ def test_urdf_joint_limits_contain_working_range(plant: PlantParameters) -> None
             assert limits[name][0] <= value <= limits[name][1], name
 
 
-def clearances(plant: PlantParameters, outline: CollisionOutline, q: Any) -> tuple[Any, Any]:
-    """Return the sole's height over ground and the club's distance to R1 (m) at joint angles `q` (n, 3)."""
-    points = joint_positions(plant.robot, q)
-    wrist = points[:, 2]
-    along = (points[:, 4] - wrist) / plant.robot.club.length_to_face
-    face = wrist + outline.club_length * along
-    nearest = np.clip(-(wrist * along).sum(axis=1), 0.0, outline.club_length)
-    distance: Any = np.linalg.norm(wrist + nearest[:, None] * along, axis=1)
-    return face[:, 1] - outline.sole_radius - outline.ground, distance
-
-
-def test_collision_outline_matches_clearance_checks(plant: PlantParameters) -> None:
-    outline = collision_outline(plant, FRAME_RADIUS)
-    q = np.array([state[0] for state in states(plant)])
-    height, distance = clearances(plant, outline, q)
-    # As bench/design/static_checks.py and bench/control/envelope.py compute them.
-    face = forward_kinematics(plant.robot, q)
-    assert height == pytest.approx(face[:, 1] - plant.site.sole_depth - plant.site.ground, abs=1e-12)
-    points = joint_positions(plant.robot, q)
-    share = np.linspace(0.0, 1.0, 2001)[:, None, None]
-    line = np.linalg.norm(points[:, 2] + share * (points[:, 4] - points[:, 2]), axis=2)
-    assert distance == pytest.approx(line.min(axis=0), abs=1e-6)
+def test_urdf_outlines_match_clearance_checks(plant: PlantParameters, folder: Path) -> None:
+    """The club is the line to the centre of the face with a sole below, the frame a disc round R1."""
+    root = ElementTree.parse(folder / "golfbench.urdf").getroot()  # noqa: S314 - our own
+    outlines = {
+        link.get("name"): [(shape.tag, shape.attrib) for shape in link.iterfind("collision/geometry/*")]
+        for link in root.iter("link")
+        if link.find("collision") is not None
+    }
+    club = plant.robot.club
+    line = {"radius": repr(club.shaft_radius), "length": repr(club.length_to_face)}
+    assert outlines == {
+        "swing_plane": [("cylinder", {"radius": repr(FRAME_RADIUS), "length": "0.1"})],
+        "club": [("cylinder", line), ("sphere", {"radius": repr(plant.site.sole_depth)})],
+    }
 
 
 # Readers ---------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Drift from swing to swing: club speed at the ball, and where the head is seen when it meets the ball.
+"""The strike in a swing's cycles: whether a ball was hit, when, and its drift from swing to swing.
 
 A leak, worn seals or a supply that sags take speed long before anything has to be stopped. And the ball is a
 mark in the hall that no encoder knows of: the strike bends the wrist's path, which shows in the raw counts to
@@ -18,10 +18,69 @@ from math import hypot, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from bench.base.lifecycle import Phase
+from sim.kinematics import forward_kinematics
+from sim.robot import RobotParameters
 
 Cycles = np.ndarray[Any, Any]
+
+TO_BALL = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT)
+SWINGING = (Phase.BACKSWING, Phase.TOP, *TO_BALL, Phase.FOLLOW_THROUGH)
+"""Phases of the swing itself, without the way to the address and back."""
+
+
+def ball_struck(cycles: Cycles) -> bool:
+    """Return whether a ball was on the tee until the head arrived, by the sensor there."""
+    swung = np.isin(cycles["phase"], (Phase.DOWNSWING, Phase.COMMITTED))
+    after = cycles["phase"] == Phase.FOLLOW_THROUGH
+    if not swung.any() or not after.any():
+        return False
+    return bool(cycles["ball_present"][swung][0] and not cycles["ball_present"][after][-1])
+
+
+_EARLIEST_CONTACT = 0.004
+"""How far (m) before the ball's position an off-centre strike may begin."""
+
+
+def time_at_ball(
+    robot: RobotParameters, cycles: Cycles, ball_x: float, *, estimated: bool = False
+) -> float | None:
+    """Return the time (s of the record) at which the face's centre is last before `ball_x` (m).
+
+    Plant angles are taken where there are any, else, or if so asked, the `estimated` ones. None when the head
+    never crosses `ball_x` in the downswing, as after a stop.
+
+    At 1 kHz the head moves over 40 mm from one record to the next. Between two records the joint angles
+    follow the cubic through both angles and both velocities; across the impact, where velocities jump, the
+    last record before it is carried on with its own velocity and acceleration.
+    """
+    down = cycles[np.isin(cycles["phase"], TO_BALL)]
+    if len(down) < 3:
+        return None
+    source = "" if estimated or not np.isfinite(down["plant_angle"]).all() else "plant_"
+    angle, velocity = down[f"{source}angle"], down[f"{source}velocity"]
+    x = forward_kinematics(robot, angle)[:, 0]
+    # Off its centre the face meets the ball up to some millimetres early: a record there may be after impact.
+    before = x < ball_x - _EARLIEST_CONTACT
+    crossings = np.flatnonzero(before[:-1] & ~before[1:])
+    if not crossings.size or not crossings[-1]:
+        return None
+    last = int(crossings[-1])
+    times = down["time"][: last + 2].copy()
+    acceleration = (velocity[last] - velocity[last - 1]) / (times[last] - times[last - 1])
+    step = 1.25 * (times[last + 1] - times[last])
+    times[last + 1] = times[last] + step
+    ahead = angle[last] + step * (velocity[last] + step / 2 * acceleration)
+    angles = np.vstack([angle[: last + 1], ahead])
+    velocities = np.vstack([velocity[: last + 1], velocity[last] + step * acceleration])
+    spline = CubicHermiteSpline(times, angles, velocities)
+    start = max(0, last - 60)
+    fine = np.linspace(times[start], times[-1], 50 * (len(times) - start))
+    short = np.flatnonzero(forward_kinematics(robot, spline(fine))[:, 0] <= ball_x)
+    return float(fine[short[-1]]) if len(short) else None
+
 
 SPEED, PLACE = 0.012, 0.015
 """Share of the club speed, and m along the ground, by which swings of a healthy robot may differ at least."""
@@ -104,7 +163,6 @@ class DriftMonitor:
     """Remembers the first and the latest swings of the tables in use."""
 
     def __init__(self) -> None:
-        """Remember no swing."""
         self._tables: Hashable = None
         self._first: list[ObservedImpact] = []
         self._latest: deque[ObservedImpact] = deque(maxlen=LASTING)

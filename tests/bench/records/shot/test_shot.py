@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_table import write_shot_table
+from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
 from tests.bench.records.shot.read_shots import KINDS, read_shot_table
 
 HEADER = (

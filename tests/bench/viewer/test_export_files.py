@@ -23,26 +23,23 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
 from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
-from bench.records.telemetry.recorder import write_swing
-from bench.viewer.export.mcap_file import json_schema, write_mcap
-from bench.viewer.export.record_files import (
-    ExportRecord,
+from bench.records.telemetry.recorder import SwingRecord, read_swing, write_swing
+from bench.viewer.export_files import (
     changes,
-    columns,
-    read_record,
+    cycle_schema,
     write_csv,
     write_mat,
+    write_mcap,
     write_mf4,
 )
-from bench.viewer.export.rrd_file import write_rrd
-from sim.robot import Club
+from bench.viewer.recording import write_rrd
 
 Cycles = np.ndarray[Any, Any]
 BEGIN = "2026-11-01T09:30:00+00:00"
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int], Cycles]) -> ExportRecord:
+def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int], Cycles]) -> SwingRecord:
     """A record with awkward values: no pressure sensors, large counts, non-terminating fractions."""
     cycles = make_swing(3)[700:1000].copy()
     cycles["chamber_pressure"] = np.nan
@@ -51,7 +48,7 @@ def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int],
     cycles["angle"][1] = [1 / 3, 1e-300, -0.0]
     path = tmp_path_factory.mktemp("records") / "007.parquet"
     write_swing(path, cycles, {"number": 7, "time_utc": BEGIN, "profile": {"name": "default"}})
-    return read_record(path)
+    return SwingRecord(path, *read_swing(path))
 
 
 def equal(a: Cycles, b: Cycles) -> bool:
@@ -61,15 +58,7 @@ def equal(a: Cycles, b: Cycles) -> bool:
     )
 
 
-def test_columns_have_unit_and_description() -> None:
-    units = {column.name: column.unit for column in columns()}
-    assert units["angle_wrist"] == "rad"
-    assert units["chamber_pressure_right_arm_b"] == "Pa"
-    assert [units[f"plant_effort_{joint}"] for joint in ("shoulder", "arm", "wrist")] == ["N m", "N", "N m"]
-    assert all(column.unit and column.description for column in columns())
-
-
-def test_csv_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
+def test_csv_read_back_equals_record(tmp_path: Path, record: SwingRecord) -> None:
     path, beside = write_csv(tmp_path / "007.csv", record)
     options = pc.ConvertOptions(column_types=arrow_schema(), null_values=[])
     assert equal(from_arrow(pc.read_csv(path, convert_options=options)), record.cycles)
@@ -80,11 +69,13 @@ def test_csv_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> No
     assert described["url"] == path.name
     by_name = {column["name"]: column for column in described["tableSchema"]["columns"]}
     assert by_name["velocity_arm"]["unit"] == "rad/s"
+    assert by_name["chamber_pressure_right_arm_b"]["unit"] == "Pa"
+    assert all(column["unit"] and column["dc:description"] for column in by_name.values())
     assert by_name["tick"]["datatype"] == "integer"
     assert described["golfbench"] == record.metadata
 
 
-def test_mat_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
+def test_mat_read_back_equals_record(tmp_path: Path, record: SwingRecord) -> None:
     (path,) = write_mat(tmp_path / "007.mat", record)
     read = loadmat(path, simplify_cells=True)
     back = np.zeros(len(record.cycles), CYCLE)
@@ -108,7 +99,7 @@ def read_mcap(path: Path) -> dict[str, list[tuple[Any, Any, Any]]]:
     return found
 
 
-def test_mcap_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_read_back_equals_record(tmp_path: Path, record: SwingRecord) -> None:
     path, _ = write_mcap(tmp_path / "007.mcap", record)
     back, times, properties = np.zeros(len(record.cycles), CYCLE), [], {}
     for n, (schema, message, row) in enumerate(read_mcap(path)["/cycle"]):
@@ -130,32 +121,15 @@ def test_mcap_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> N
     assert np.abs(steps).max() <= 1
 
 
-def test_mcap_contains_frames_shapes_and_log(tmp_path: Path, record: ExportRecord) -> None:
-    """The head that the frames place is where the estimate has it; each shape is in a frame that exists."""
+def test_mcap_contains_log(tmp_path: Path, record: SwingRecord) -> None:
     path, _ = write_mcap(tmp_path / "007.mcap", record)
-    topics = read_mcap(path)
-    names = {topic: rows[0][0].name for topic, rows in topics.items()}
-    assert names["/tf"] == "foxglove.FrameTransforms"
-    assert names["/scene"] == "foxglove.SceneUpdate"
-    assert names["/log"] == "foxglove.Log"
-    frames = {one["child_frame_id"]: one for _, _, row in topics["/tf"] for one in row["transforms"]}
-    assert {one["parent_frame_id"] for one in frames.values()} == {"world", "golf", "plane"}
-    (shapes,) = (row["entities"] for _, _, row in topics["/scene"])
-    assert {shape["frame_id"] for shape in shapes} <= frames.keys()
-    last = topics["/tf"][-1]
-    club, length = frames["club"], Club.thesis().length_to_face
-    at = [row for _, message, row in topics["/cycle"] if message.log_time == last[1].log_time]
-    turn = 2 * np.arctan2(club["rotation"]["z"], club["rotation"]["w"])
-    head = [
-        club["translation"]["x"] + length * np.cos(turn),
-        club["translation"]["y"] + length * np.sin(turn),
-    ]
-    assert [at[0]["head_position"][axis] for axis in "xy"] == pytest.approx(head, abs=1e-3)
-    assert topics["/log"][0][2]["level"] == 2
-    assert len(topics["/log"]) == len(list(changes(record.cycles)))
+    log = read_mcap(path)["/log"]
+    assert log[0][0].name == "foxglove.Log"
+    assert log[0][2]["level"] == 2
+    assert [row["message"] for _, _, row in log] == [change.text for change in changes(record.cycles)]
 
 
-def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: SwingRecord) -> None:
     path, layout = write_mcap(tmp_path / "007.mcap", record)
     read, topics = json.loads(layout.read_text()), read_mcap(path)
     panels = read["configById"]
@@ -164,7 +138,7 @@ def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: Ex
         return [part] if isinstance(part, str) else leaves(part["first"]) + leaves(part["second"])
 
     assert sorted(leaves(read["layout"])) == sorted(panels)
-    schema = json_schema()
+    schema = cycle_schema()
     plotted = [p["value"] for panel in panels.values() for p in panel.get("paths", ())]
     assert len(plotted) == 14
     for name in plotted:
@@ -174,10 +148,9 @@ def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: Ex
             part = part["properties"][key]
         assert (topic, "type" in part or "oneOf" in part) == ("cycle", True)
     assert panels["RosOut!log"]["topicToRender"] in topics
-    assert panels["3D!swing"]["topics"].keys() <= topics.keys()
 
 
-def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record: ExportRecord) -> None:
+def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record: SwingRecord) -> None:
     (path,) = write_mf4(tmp_path / "007.mf4", record)
     cycles = record.cycles
     with asammdf.MDF(path) as file:
@@ -197,14 +170,14 @@ def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record
 
 
 def test_mf4_without_asammdf_names_package(
-    tmp_path: Path, record: ExportRecord, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, record: SwingRecord, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(BenchError, match="golfbench\\[mdf\\]"):
         write_mf4(tmp_path / "007.mf4", record)
 
 
-def test_record_opens_in_duckdb_and_polars(record: ExportRecord) -> None:
+def test_record_opens_in_duckdb_and_polars(record: SwingRecord) -> None:
     """Names in addition to numbers, and units in the file's own metadata."""
     path, phases = record.path, record.cycles["phase"]
     with duckdb.connect() as connection:
@@ -225,7 +198,7 @@ def test_record_opens_in_duckdb_and_polars(record: ExportRecord) -> None:
 
 
 @pytest.mark.requires("octave")
-def test_mat_opens_in_octave(tmp_path: Path, record: ExportRecord, tool: Callable[[str], str]) -> None:
+def test_mat_opens_in_octave(tmp_path: Path, record: SwingRecord, tool: Callable[[str], str]) -> None:
     (path,) = write_mat(tmp_path / "007.mat", record)
     script = f"load('{path}'); printf('%s %.17g', units.angle, cycles.angle(2, 1))"
     done = subprocess.run(
@@ -235,7 +208,7 @@ def test_mat_opens_in_octave(tmp_path: Path, record: ExportRecord, tool: Callabl
     assert (unit, float(value)) == ("rad", record.cycles["angle"][1, 0])
 
 
-def test_rrd_holds_every_field_unchanged(tmp_path: Path, record: ExportRecord) -> None:
+def test_rrd_holds_every_field_unchanged(tmp_path: Path, record: SwingRecord) -> None:
     (path,) = write_rrd(tmp_path / "007.rrd", record)
     values: dict[str, Any] = {}
     units: dict[str, str] = {}
@@ -260,7 +233,7 @@ def test_rrd_holds_every_field_unchanged(tmp_path: Path, record: ExportRecord) -
     assert np.array_equal(times["angle"], expected)
 
 
-def test_rrd_passes_rerun_verify(tmp_path: Path, record: ExportRecord) -> None:
+def test_rrd_passes_rerun_verify(tmp_path: Path, record: SwingRecord) -> None:
     (path,) = write_rrd(tmp_path / "007.rrd", record)
     check = [sys.executable, "-m", "rerun", "rrd", "verify", str(path)]
     done = subprocess.run(check, capture_output=True, text=True, check=False, timeout=100)
@@ -293,7 +266,7 @@ def assert_readable(schema: dict[str, Any], value: Any) -> None:
         assert type(value) is python
 
 
-def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: SwingRecord) -> None:
     path, _ = write_mcap(tmp_path / "007.mcap", record)
     for rows in read_mcap(path).values():
         for schema, _, content in rows:
@@ -302,7 +275,7 @@ def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: ExportR
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
 def test_export_missing_folder_raises_not_stored(
-    write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord
+    write: Callable[[Path, SwingRecord], list[Path]], record: SwingRecord
 ) -> None:
     with pytest.raises(NotStored):
         write(Path("/nonexistent/x"), record)
@@ -310,7 +283,7 @@ def test_export_missing_folder_raises_not_stored(
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
 def test_export_record_without_cycles_writes_file(
-    write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord, tmp_path: Path
+    write: Callable[[Path, SwingRecord], list[Path]], record: SwingRecord, tmp_path: Path
 ) -> None:
     for path in write(tmp_path / "empty", record._replace(cycles=record.cycles[:0])):
         assert path.stat().st_size > 0

@@ -1,4 +1,4 @@
-"""A record to export, its columns and changes; its files as CSV (RFC 4180), MATLAB's format 5 and MDF 4.1.
+"""Records as CSV (RFC 4180), MATLAB's format 5, MDF 4.1 and MCAP.
 
 CSV (RFC 4180): a header row, then one row per cycle. `NAME.csv-metadata.json` in the same folder, where the
 W3C's "Metadata Vocabulary for Tabular Data" expects it, holds names, types, descriptions and units of the
@@ -13,14 +13,26 @@ MDF 4.1 (ASAM) by asammdf, for CANape, INCA and NI: a channel a column, with uni
 have their names as a conversion from value to text. Each change of state, phase, reaction or cause is an
 event, the record's metadata are an attached JSON text. Time is from zero, the file's start is the record's in
 UTC, if it has one. A channel without a measured value, NaN throughout, is left out.
+
+MCAP, the container of robotics, for Foxglove's line of viewers and PlotJuggler; all channels are JSON:
+`/cycle`, a message a cycle, whose vectors are objects by component (`/cycle.angle.wrist`), and `/log`, the
+changes of the state and the cause of a stop. The schema of `/cycle` carries each value's unit and description
+and the names of its codes; the metadata record `golfbench` is the record's own. JSON has no NaN: an unknown
+number is left out of its message. It is not null, which would make its type a union: viewers of Foxglove's
+line refuse a channel whose schema has one, and need one type a property, no references, and enumerations as
+alternatives of number constants with titles. Time stamps are UTC if the record has its time, else from zero.
+A layout is stored in the same folder.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
+from importlib import resources
+from importlib.metadata import version
 from io import BytesIO
+from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 from xml.sax.saxutils import escape
@@ -28,57 +40,21 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
+from mcap.writer import CompressionType, Writer
 from scipy.io import savemat
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.records.telemetry.atomic_file import atomic_file
-from bench.records.telemetry.cycle_record import FIELDS, Field, arrow_schema, to_arrow, unit_of
-from bench.records.telemetry.enumerations import ENUMERATIONS
-from bench.records.telemetry.recorder import read_swing
-
-
-class ExportColumn(NamedTuple):
-    """A column: name, unit and description."""
-
-    name: str
-    unit: str
-    """SI; "1" for pure numbers, codes and switches."""
-    description: str
-
-
-class ExportRecord(NamedTuple):
-    """Contents of a record's file."""
-
-    path: Path
-    cycles: np.ndarray[Any, Any]
-    """Records of CYCLE."""
-    metadata: dict[str, Any]
-
-    @property
-    def begin_utc(self) -> float:
-        """UTC time of the columns' zero, s since 1970; 0 if the record has none."""
-        start = self.metadata.get("time_utc")
-        if not isinstance(start, str) or not len(self.cycles):
-            return 0.0
-        return datetime.fromisoformat(start).timestamp() - float(self.cycles["time"][0])
-
-
-def read_record(path: Path) -> ExportRecord:
-    """Return the record at `path`.
-
-    Raises:
-        BenchError: it is missing, damaged or no record.
-    """
-    return ExportRecord(path, *read_swing(path))
-
-
-def columns() -> list[ExportColumn]:
-    """Return the columns of a record in order."""
-    return [
-        ExportColumn(field.name, field.metadata[b"unit"].decode(), field.metadata[b"description"].decode())
-        for field in arrow_schema()
-    ]
+from bench.records.telemetry.cycle_record import (
+    ENUMERATIONS,
+    FIELDS,
+    SCHEMA_VERSION,
+    Field,
+    to_arrow,
+    unit_of,
+)
+from bench.records.telemetry.recorder import SwingRecord
 
 
 class Change(NamedTuple):
@@ -103,7 +79,7 @@ def changes(cycles: np.ndarray[Any, Any]) -> Iterator[Change]:
 _TYPES = {"double": "number", "int64": "integer", "int32": "integer", "uint8": "integer", "bool": "boolean"}
 
 
-def write_csv(path: Path, record: ExportRecord) -> list[Path]:
+def write_csv(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and its metadata next to it; return both paths.
 
     Raises:
@@ -118,15 +94,15 @@ def write_csv(path: Path, record: ExportRecord) -> list[Path]:
     return [path, beside]
 
 
-def _metadata(path: Path, record: ExportRecord, schema: pa.Schema) -> dict[str, Any]:
+def _metadata(path: Path, record: SwingRecord, schema: pa.Schema) -> dict[str, Any]:
     described = [
         {
-            "name": column.name,
-            "datatype": _TYPES[str(schema.field(column.name).type)],
-            "unit": column.unit,
-            "dc:description": column.description,
+            "name": field.name,
+            "datatype": _TYPES[str(field.type)],
+            "unit": field.metadata[b"unit"].decode(),
+            "dc:description": field.metadata[b"description"].decode(),
         }
-        for column in columns()
+        for field in schema
     ]
     return {
         "@context": "http://www.w3.org/ns/csvw",
@@ -136,7 +112,7 @@ def _metadata(path: Path, record: ExportRecord, schema: pa.Schema) -> dict[str, 
     }
 
 
-def write_mat(path: Path, record: ExportRecord) -> list[Path]:
+def write_mat(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and return it.
 
     Raises:
@@ -162,7 +138,7 @@ def write_mat(path: Path, record: ExportRecord) -> list[Path]:
 _COMMENT = "<EVcomment><TX>{}</TX><tool>golfbench</tool></EVcomment>"
 
 
-def write_mf4(path: Path, record: ExportRecord) -> list[Path]:
+def write_mf4(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and return it.
 
     Raises:
@@ -229,3 +205,114 @@ def _names(field: Field) -> dict[str, Any] | None:
     for number, (code, name) in enumerate(ENUMERATIONS[field.names].items()):
         found |= {f"val_{number}": int(code), f"text_{number}": name.encode()}
     return found
+
+
+LAYOUT = "foxglove_layout.json"
+"""Name of the layout's file, in this package and next to the exported file."""
+Schema = dict[str, Any]
+_LEVELS = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+
+
+def write_mcap(path: Path, record: SwingRecord) -> list[Path]:
+    """Write `record` to `path` and the layout next to it; return both paths.
+
+    Raises:
+        NotStored: they cannot be stored.
+    """
+    schemas = {
+        "/cycle": (f"golfbench.Cycle.{SCHEMA_VERSION}", cycle_schema()),
+        "/log": ("foxglove.Log", _log_schema()),
+    }
+    with atomic_file(path) as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer.start(library=f"golfbench {version('golfbench')}")
+        channels = {
+            topic: writer.register_channel(
+                topic, "json", writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+            )
+            for topic, (name, schema) in schemas.items()
+        }
+        for topic, at, number, content in _messages(record):
+            message = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
+            writer.add_message(channels[topic], at, message, at, number)
+        writer.add_metadata("golfbench", {key: json.dumps(value) for key, value in record.metadata.items()})
+        writer.finish()  # type: ignore[no-untyped-call]
+    layout = path.with_name(LAYOUT)
+    with atomic_file(layout) as stream:
+        stream.write(resources.files("bench.viewer").joinpath(LAYOUT).read_bytes())
+    return [path, layout]
+
+
+def _enumeration(names: Mapping[int, str], **about: str) -> Schema:
+    """Return the schema of a code with `names`; `about` are further keys."""
+    return {**about, "oneOf": [{"title": name, "const": code} for code, name in names.items()]}
+
+
+def _log_schema() -> Schema:
+    """Return the JSON Schema of Foxglove's well-known message `foxglove.Log`."""
+    integer, text = {"type": "integer", "minimum": 0}, {"type": "string"}
+    time = {"sec": integer, "nsec": integer | {"maximum": 999_999_999}}
+    properties = {
+        "timestamp": {"title": "time", "type": "object", "properties": time, "required": list(time)},
+        "level": _enumeration(dict(enumerate(_LEVELS)), title="foxglove.LogLevel"),
+        "message": text,
+        "name": text,
+        "file": text,
+        "line": integer,
+    }
+    return {"title": "foxglove.Log", "type": "object", "properties": properties, "required": list(properties)}
+
+
+def cycle_schema() -> Schema:
+    """Return the JSON Schema of a cycle's message, with the `unit` of each number."""
+    return {
+        "title": "golfbench.Cycle",
+        "type": "object",
+        "properties": {field.name: _property(field) for field in FIELDS},
+        "required": [field.name for field in FIELDS if field.components or field.dtype != "f8"],
+    }
+
+
+def _property(field: Field) -> Schema:
+    if field.names:
+        names = {int(code): name for code, name in ENUMERATIONS[field.names].items()}
+        return _enumeration(names, unit=field.unit, description=field.text)
+    kind = {"f8": "number", "?": "boolean"}.get(field.dtype, "integer")
+    if not field.components:
+        return {"type": kind, "unit": field.unit, "description": field.text}
+    inner = {name: {"type": kind, "unit": unit_of(field, n)} for n, name in enumerate(field.components)}
+    return {"type": "object", "description": field.text, "properties": inner}
+
+
+def _messages(record: SwingRecord) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
+    """Yield topic, time (ns), sequence and content of all messages."""
+    cycles = record.cycles
+    # Two parts: seconds since 1970 have no nanoseconds in a double.
+    begin = round(record.begin_utc * 1e6) * 1000
+    times = [max(0, begin + round(at * 1e9)) for at in cycles["time"].tolist()]
+    for row, at in zip(_rows(cycles), times, strict=True):
+        yield "/cycle", at, max(0, row["tick"]) & 0xFFFFFFFF, row
+    for number, change in enumerate(changes(cycles)):
+        at, level = times[change.row], _LEVELS.index("ERROR" if change.cause else "INFO")
+        stamp = {"sec": at // 10**9, "nsec": at % 10**9}
+        content = {"level": level, "message": change.text, "name": "golfbench", "file": "", "line": 0}
+        yield "/log", at, number, {"timestamp": stamp, **content}
+
+
+def _rows(cycles: np.ndarray[Any, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the cycles' contents."""
+    values = [cycles[field.name].tolist() for field in FIELDS]
+    for row in zip(*values, strict=True):
+        yield {
+            field.name: _known(zip(field.components, value, strict=True)) if field.components else value
+            for field, value in zip(FIELDS, row, strict=True)
+            if field.components or _is_known(value)
+        }
+
+
+def _known(parts: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in parts if _is_known(value)}
+
+
+def _is_known(value: Any) -> bool:
+    return not isinstance(value, float) or isfinite(value)

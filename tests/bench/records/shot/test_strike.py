@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import nan
 from typing import Any
@@ -9,21 +10,27 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Phase
 from bench.config import load_configuration, shipped_configuration
-from bench.records.shot.swing_drift import (
+from bench.records.shot.strike import (
     LASTING,
     NEEDED,
     REFERENCE,
     DriftMonitor,
     ObservedImpact,
     strike_seen,
+    time_at_ball,
 )
 from bench.simulation.plant_variation import healthy_plant
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
+from sim.robot import RobotParameters
 from tests.compiled_only import needs_speed
+
+Cycles = np.ndarray[Any, Any]
+BALL_X = 0.2315
 
 
 def watch_after(swings: int, scatter: float = 0.0, seed: int = 1) -> DriftMonitor:
@@ -118,3 +125,51 @@ def test_drift_monitor_slipped_encoder_warns_of_ball_position(joint: int) -> Non
         series.rest()
     found = swung(watch, series, profile, counts)
     assert any("the head met the ball" in text for text in found)
+
+
+@pytest.fixture
+def swing(make_swing: Callable[[int], Cycles]) -> Cycles:
+    return make_swing(3)
+
+
+def test_time_at_ball_half_rate_record_gives_same_time(robot: RobotParameters, swing: Cycles) -> None:
+    """Between cycles the cubic through angles and velocities is the motion."""
+    fine, coarse = (time_at_ball(robot, swing[::every], BALL_X) for every in (1, 2))
+    assert fine is not None
+    assert 1.180 < fine < 1.190
+    assert coarse == pytest.approx(fine, abs=5e-5)
+
+
+@pytest.mark.parametrize("early", np.linspace(0.0, 0.9e-4, 7))
+def test_time_at_ball_impact_velocity_jump_keeps_time(
+    robot: RobotParameters, swing: Cycles, early: float
+) -> None:
+    """The impact is a jump of the velocities up to 4 mm before the ball's position; angles have none."""
+    struck = swing.copy()
+    before = time_at_ball(robot, swing, BALL_X)
+    assert before is not None
+    since = struck["time"] - (before - early)
+    after = since > 0
+    jump = np.array([0.5, 1.0, 12.0])
+    for name in ("velocity", "plant_velocity"):
+        struck[name][after] -= jump
+    for name in ("angle", "plant_angle"):
+        struck[name][after] -= since[after, None] * jump
+    assert time_at_ball(robot, struck, BALL_X) == pytest.approx(before, abs=5e-5)
+
+
+def test_time_at_ball_without_plant_values_uses_estimates(robot: RobotParameters, swing: Cycles) -> None:
+    simulated = time_at_ball(robot, swing, BALL_X)
+    for name in ("plant_angle", "plant_velocity"):
+        swing[name] = np.nan
+    assert time_at_ball(robot, swing, BALL_X) == simulated
+    swing["plant_angle"] = swing["angle"] + 0.01
+    swing["plant_velocity"] = swing["velocity"]
+    assert time_at_ball(robot, swing, BALL_X) != simulated
+    assert time_at_ball(robot, swing, BALL_X, estimated=True) == simulated
+
+
+def test_time_at_ball_swing_short_of_ball_returns_none(robot: RobotParameters, swing: Cycles) -> None:
+    assert time_at_ball(robot, swing[swing["time"] < 1.15], BALL_X) is None
+    assert time_at_ball(robot, swing[swing["phase"] == Phase.HOLD], BALL_X) is None
+    assert time_at_ball(robot, swing[:0], BALL_X) is None

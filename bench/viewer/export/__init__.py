@@ -1,1 +1,0 @@
-"""Records and series in the formats of other programs."""
