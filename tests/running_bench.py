@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.address import free_port
 from bench.base.errors import Refused
 from bench.base.lifecycle import Phase, State
 from bench.config import Configuration, load_configuration
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer
 from bench.records.telemetry.ring import RingReader
 from bench.supervisor.ownership import bench_folder

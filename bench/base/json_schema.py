@@ -7,20 +7,21 @@ fields of that class, and `Count` gives lengths.
 
 from __future__ import annotations
 
+import ast
 import inspect
 import json
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from datetime import datetime
 from enum import Enum, StrEnum
 from functools import cache, reduce
-from sys import float_info
+from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints
 
 from bench.base.errors import BenchError
-from bench.base.field_docs import field_docs
 from drivers.base.ranges import Count
 
 Schema = dict[str, Any]
@@ -38,7 +39,7 @@ _PLAIN: Mapping[Any, Schema] = {
 _IS: Mapping[str, Callable[[Any], bool]] = {
     "boolean": lambda value: isinstance(value, bool),
     "integer": lambda value: type(value) is int,
-    "number": lambda value: type(value) in (int, float) and abs(value) <= float_info.max,
+    "number": lambda value: type(value) in (int, float) and abs(value) <= sys.float_info.max,
     "string": lambda value: isinstance(value, str),
     "null": lambda value: value is None,
     "array": lambda value: isinstance(value, list),
@@ -120,6 +121,23 @@ def _one_of(parts: list[Schema]) -> Schema:
         if other.keys() == {"type"}:
             return {"type": [other["type"], "null"]}
     return {"anyOf": parts}
+
+
+def field_docs(kind: Any) -> dict[str, str]:
+    """Return the docstrings of the fields of class `kind` of a module, without those that it inherits."""
+    found = {}
+    for node, below in pairwise(_bodies(kind.__module__).get(kind.__name__, [])):
+        match node, below:
+            case (ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str() as text))):
+                found[name] = text
+    return found
+
+
+@cache
+def _bodies(module: str) -> dict[str, list[ast.stmt]]:
+    """Return the statements of each class of `module`, whose source is read once."""
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    return {node.name: node.body for node in tree.body if isinstance(node, ast.ClassDef)}
 
 
 def json_object(payload: bytes) -> dict[str, Any] | None:

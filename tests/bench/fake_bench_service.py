@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import zenoh
 
+from bench.base.address import free_port
 from bench.base.lifecycle import ACCEPTED_IN, CAUSE_WORDS, Cause, Refusal, Request, State
 from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
 from bench.network.bench_service import (
@@ -25,7 +26,6 @@ from bench.network.bench_service import (
     refused,
 )
 from bench.network.command_plane import CommandPlane
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_daemon
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Request
 from bench.config import VARIANTS, Configuration
 from bench.network.client import BenchClient
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer, access_control, open_client
 from tests.bench.certified import Folder, client_of
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane

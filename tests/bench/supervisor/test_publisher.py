@@ -20,9 +20,9 @@ import psutil
 import pytest
 import zenoh
 
+from bench.base.address import free_port
 from bench.base.lifecycle import State
 from bench.config import NetworkSettings
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_client, open_daemon
 from bench.records.telemetry.batches import Batch, decode_batch
 from bench.records.telemetry.ring import RingWriter

@@ -17,8 +17,8 @@ import psutil
 import pytest
 import rerun as rr
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError
-from bench.network.free_port import free_port
 from bench.viewer.blueprint import live_blueprint
 from bench.viewer.scene import log_static_scene
 from bench.viewer.signals import bench_time, log_styles, send_scalars

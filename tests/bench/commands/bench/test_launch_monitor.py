@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 import zenoh
 
+from bench.base.address import free_port
 from bench.network.client import CommandRefused
-from bench.network.free_port import free_port
 from bench.records.shot.shot_message import ShotPublication, read_shot_message
 from bench.records.telemetry.recorder import read_swing
 from drivers.base import Launch

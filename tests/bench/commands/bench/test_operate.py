@@ -18,13 +18,13 @@ from typing import NamedTuple, cast
 import pytest
 from rich.console import Console
 
+from bench.base.address import free_port
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import Cause, Request, State
 from bench.commands.bench.status_table import status_table
 from bench.commands.cli import main
 from bench.network.bench_service import LaunchMonitorStatus, Reply
 from bench.network.client import REST
-from bench.network.free_port import free_port
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.supervisor.status import NO_LAUNCH_MONITOR
