@@ -28,7 +28,7 @@ from bench.control.settings import (
     with_tables_of,
 )
 from bench.learning.live import swung_cycles
-from bench.loop.loop import Cycle, Cycles, Loop
+from bench.loop.loop import Cycles, Loop
 from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, return_failed
 from bench.simulation.swing_operator import (
@@ -97,20 +97,20 @@ class LiveSeries:
             replace(lifecycle, hold_between_swings=True),
             homing,
         )
-        cycle = Cycle(
+        loop = Loop(
             driver,
             bench.with_its_limits(made),
-            lambda _: None,
+            clock,
             name=name,
             note_truth=getattr(driver, "note_truth", None),
             state=State.STARTING,
         )
-        control = cycle.state.control
+        control = loop.state.control
         for permission in ("supervisor_alive", "lease_held", "support_ready"):
             control[permission] = True  # the caller alone has this bench, and keeps its records
-        self._operator = SwingOperator(Loop(cycle, clock), stop=stop, name=bench.profile.name)
+        self._operator = SwingOperator(loop, stop=stop, name=bench.profile.name)
         self._operator.shows_no_pressure()  # compiled, or read from the cache, before a tick waits for it
-        near_address(cycle.parameters, cycle.state.estimator)
+        near_address(loop.parameters, loop.state.estimator)
         self._operator.advance(round(_WARM_UP / clock.period))
         control["is_warmed_up"] = True
         self._operator.advance(1)
@@ -312,7 +312,7 @@ class LiveSeries:
             raise Refused("tee", f"no ball in {_FEED:g} s", "a ball", "Fill the feeder, then --resume.")
 
     def _sees_ball(self) -> bool:
-        return bool(self._operator.stepper.cycle.record["ball_present"][0])
+        return bool(self._operator.stepper.record["ball_present"][0])
 
     def _revive(self) -> None:
         """Open the device again if it has become passive."""
