@@ -22,8 +22,8 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.zenoh_session import NoAnswer
 from bench.records.telemetry.ring import RingReader
+from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.ownership import bench_folder
-from bench.supervisor.plan import RING_FILE
 
 LONGEST_START = 300.0
 """s; the first start compiles."""

@@ -29,6 +29,15 @@ FOR_PARENT = (signal.SIGINT, signal.SIGABRT, *HANGUP)
 stop, SIGABRT from systemd's watchdog, a closed terminal. A child starts with them blocked."""
 
 
+RING_FILE, TIMING_FILE, SNAPSHOT_FILE = "ring", "timing", "snapshot"
+"""Names of the files written by the loop in the bench's folder in shared memory."""
+
+
+def heartbeat_file(folder: Path, name: str) -> Path:
+    """Return the file of the heartbeat of process `name` in the bench's `folder`."""
+    return folder / f"{name}-heart"
+
+
 class Condition(IntEnum):
     """Condition reported by a child."""
 

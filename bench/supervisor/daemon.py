@@ -44,10 +44,10 @@ from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication
 from bench.records.telemetry.shot_id import run_id
 from bench.supervisor.child import Child, ManagedProcess
-from bench.supervisor.correction import CORRECTED_FILE
+from bench.supervisor.child_process import TIMING_FILE
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import Ownership, take_bench
-from bench.supervisor.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LaunchMonitorPlan, LoopPlan
+from bench.supervisor.plan import LaunchMonitorPlan, LoopPlan
 from bench.supervisor.publisher import PublisherPlan
 from bench.supervisor.readiness import arming_block, assess, assess_bench
 from bench.supervisor.recorder import RecorderPlan
@@ -334,25 +334,22 @@ class Daemon:
         stack.callback(close_session, session)
         self._plane = stack.enter_context(CommandPlane(session, c.bench.id, self))
         self._support = [
-            ManagedProcess("recorder", folder / "recorder-heart", self._start_recorder, self._note_record),
-            ManagedProcess("publisher", folder / "publisher-heart", self._start_publisher),
+            ManagedProcess("recorder", folder, self._start_recorder, self._note_record),
+            ManagedProcess("publisher", folder, self._start_publisher),
         ]
         if c.launch_monitor.enabled:
             self._launch_monitor = ManagedProcess(
-                "launch monitor", folder / "launch-heart", self._start_launch_monitor, self._note_launch
+                "launch monitor", folder, self._start_launch_monitor, self._note_launch
             )
         self._folder = folder
 
     def _start_recorder(self) -> Child:
-        c, folder = self.configuration, self._folder
+        c = self.configuration
         plan = RecorderPlan(
             bench=c.bench.id,
             data_dir=c.bench.data_dir,
-            ring=folder / RING_FILE,
-            snapshot=folder / SNAPSHOT_FILE,
-            heartbeat=folder / "recorder-heart",
+            folder=self._folder,
             snapshot_dtype=SNAPSHOT,
-            corrected=folder / CORRECTED_FILE,
             profile=self.profile,
             basis=self._basis,
             run=self._run,
@@ -360,7 +357,6 @@ class Daemon:
             versions=versions(),
             real_time=self._real_time,
             calibrations=self.calibration.record(),
-            timing=folder / TIMING_FILE,
             plant=None if c.launch_monitor.enabled else c.plant,
             around=FlightConditions(c.air, c.wind, c.turf),
             wall=self.wall,
@@ -369,28 +365,23 @@ class Daemon:
         return Child.start("recorder", "bench.supervisor.recorder", plan)
 
     def _start_publisher(self) -> Child:
-        c, folder = self.configuration, self._folder
+        c = self.configuration
         plan = PublisherPlan(
             bench=c.bench.id,
             network=c.network,
-            ring=folder / RING_FILE,
-            timing=folder / TIMING_FILE,
-            heartbeat=folder / "publisher-heart",
+            folder=self._folder,
             wall=self.wall,
         )
         return Child.start("publisher", "bench.supervisor.publisher", plan)
 
     def _start_launch_monitor(self) -> Child:
-        c, folder = self.configuration, self._folder
+        c = self.configuration
         plan = LaunchMonitorPlan(
             run=self._run,
-            ring=folder / RING_FILE,
-            heartbeat=folder / "launch-heart",
+            folder=self._folder,
             settings=c.launch_monitor,
             plant=c.plant,
-            air=c.air,
-            wind=c.wind,
-            turf=c.turf,
+            around=FlightConditions(c.air, c.wind, c.turf),
             club=c.launch_monitor.club or club_code(c.swing.club),
             wall=self.wall,
         )

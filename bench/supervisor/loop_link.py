@@ -17,6 +17,7 @@ import numpy as np
 from bench.base.lifecycle import Answer, Refusal, Request, State
 from bench.network.bench_service import Reply, refused
 from bench.records.telemetry.ring import RingReader
+from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.correction import (
     CORRECTED,
     CORRECTED_FILE,
@@ -24,7 +25,6 @@ from bench.supervisor.correction import (
     CORRECTION_FILE,
     pack_correction,
 )
-from bench.supervisor.plan import RING_FILE
 from bench.supervisor.status import refusal_words
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE
 from drivers.base.shared_record import SharedRecord

@@ -35,10 +35,18 @@ from bench.loop.loop import Cycle
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.telemetry.encoder_preset import Shifts, moved_zero, write_shifts
 from bench.records.telemetry.ring import RingWriter, ring_capacity
-from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
+from bench.supervisor.child_process import (
+    RING_FILE,
+    SNAPSHOT_FILE,
+    TIMING_FILE,
+    Parent,
+    read_plan,
+    send_event,
+    send_failure,
+)
 from bench.supervisor.correction import CorrectionReader
 from bench.supervisor.ownership import adopt
-from bench.supervisor.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
+from bench.supervisor.plan import LoopPlan
 from bench.supervisor.real_time import real_time
 from bench.supervisor.supervision import SUPERVISION_FILE, Orders
 from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing, new_timing

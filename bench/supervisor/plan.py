@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bench.base.lifecycle import Cause
 from bench.config import Configuration
@@ -11,13 +12,10 @@ from bench.records.telemetry.encoder_preset import CalibratedShifts
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
 from drivers.launch_monitor.settings import LaunchMonitorSettings
-from sim.air import Air
-from sim.flight import Wind
 from sim.plant import PlantParameters
-from sim.turf import Turf
 
-RING_FILE, TIMING_FILE, SNAPSHOT_FILE = "ring", "timing", "snapshot"
-"""Names of the files written by the loop in the bench's folder."""
+if TYPE_CHECKING:  # the loop does not load what a flight needs
+    from bench.records.shot.recorded_shot import FlightConditions
 
 
 @dataclass(frozen=True)
@@ -47,15 +45,12 @@ class LaunchMonitorPlan:
 
     run: str
     """Id of the bench's run."""
-    ring: Path
-    heartbeat: Path
-    """File of the HEARTBEAT record."""
+    folder: Path
+    """Shared-memory folder of the bench."""
     settings: LaunchMonitorSettings
     plant: PlantParameters
-    air: Air
-    wind: Wind
-    turf: Turf
-    club: str = "DR"
+    around: FlightConditions
+    club: str
     """Code of the club in the player message to monitors."""
-    wall: bool = True
+    wall: bool
     """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""

@@ -45,14 +45,18 @@ from bench.records.telemetry.ring import RingReader
 from bench.records.telemetry.swing_cutter import Cycles, RecordSegment, SwingSegmenter
 from bench.records.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
 from bench.supervisor.child_process import (
+    RING_FILE,
+    SNAPSHOT_FILE,
+    TIMING_FILE,
     Condition,
     HeartbeatSender,
     Parent,
+    heartbeat_file,
     read_plan,
     send_event,
     send_failure,
 )
-from bench.supervisor.correction import CORRECTED, weights_of
+from bench.supervisor.correction import CORRECTED, CORRECTED_FILE, weights_of
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
@@ -75,15 +79,10 @@ class RecorderPlan:
 
     bench: str
     data_dir: Path
-    ring: Path
-    snapshot: Path
-    """File of the `snapshot_dtype` record."""
-    heartbeat: Path
-    """File of the HEARTBEAT record."""
+    folder: Path
+    """Shared-memory folder of the bench."""
     snapshot_dtype: np.dtype[Any]
     """`bench.loop.snapshot.SNAPSHOT`, passed so that the recorder need not import the controller."""
-    corrected: Path
-    """File of the CORRECTED record."""
     profile: Profile
     basis: Basis
     """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
@@ -94,8 +93,6 @@ class RecorderPlan:
     real_time: Mapping[str, Any] = field(default_factory=dict)
     """Real-time settings requested by the loop and granted."""
     calibrations: Mapping[str, Any] = field(default_factory=dict)
-    timing: Path | None = None
-    """File of the loop's TIMING record; None: records go without it."""
     wall: bool = True
     """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
     lead: float = 0.5
@@ -137,17 +134,17 @@ class Recorder:
             plan.real_time,
             plan.calibrations,
         ).entries()
-        self._basis = plan.basis
-        self._heartbeat = HeartbeatSender(plan.heartbeat)
-        self._ring = RingReader(plan.ring, from_oldest=True)
-        self._snapshot = SharedRecord.open(plan.snapshot, plan.snapshot_dtype)
+        folder = plan.folder
+        self._heartbeat = HeartbeatSender(heartbeat_file(folder, "recorder"))
+        self._ring = RingReader(folder / RING_FILE, from_oldest=True)
+        self._snapshot = SharedRecord.open(folder / SNAPSHOT_FILE, plan.snapshot_dtype)
         self._snapshots: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
-        self._corrected = SharedRecord.open(plan.corrected, CORRECTED)
+        self._corrected = SharedRecord.open(folder / CORRECTED_FILE, CORRECTED)
         self._corrections: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
         self._cutter = SwingSegmenter(lead=plan.lead, tail=plan.tail, room=plan.room)
         self._queue = RecordQueue(plan.waiting, _PAUSE)
-        self._timing = None if plan.timing is None else TimingReader(plan.timing)
-        self._timed = None if self._timing is None else self._timing.snapshot()
+        self._timing = TimingReader(folder / TIMING_FILE)
+        self._timed = self._timing.snapshot()
         self._drift = DriftMonitor()
         self._swings = plan.data_dir / "swings" / plan.bench
         remove_partial(self._swings)
@@ -218,10 +215,8 @@ class Recorder:
 
     def close(self) -> None:
         """Unmap the shared files."""
-        for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected):
+        for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected, self._timing):
             shared.close()
-        if self._timing is not None:
-            self._timing.close()
 
     def _read(self) -> Cycles:
         """Return the new cycles without those stored by a previous recorder."""
@@ -252,7 +247,7 @@ class Recorder:
         held = [c["order"] for c in self._corrections if c["tick"][0] <= tick]
         if not held or not (weights := weights_of(held[-1])):
             return self._entries
-        corrected = self._basis.corrected(self._plan.profile, weights)
+        corrected = self._plan.basis.corrected(self._plan.profile, weights)
         beside = {"correction": {"number": int(held[-1]["number"][0]), "weights": weights}}
         return {**self._entries, "profile": profile_entry(corrected) | beside}
 
@@ -279,10 +274,8 @@ class Recorder:
         path = record_path(self._swings, began, self._number)
         self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
 
-    def _loop_since_before(self) -> dict[str, Any] | None:
-        """Return the loop's counters since the record before; None without them."""
-        if self._timing is None:
-            return None
+    def _loop_since_before(self) -> dict[str, Any]:
+        """Return the loop's counters since the record before."""
         before, self._timed = self._timed, self._timing.snapshot()
         counted = summary(self._timed, before)
         return {

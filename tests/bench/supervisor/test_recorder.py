@@ -365,10 +365,12 @@ def test_recorder_supervisor_killed_records_until_loop_ends(bench: Bench, day: M
 
 
 def test_recorder_missing_ring_reports_failed(bench: Bench, tmp_path: Path) -> None:
-    bench.start_anyhow(ring=tmp_path / "absent")
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    bench.start_anyhow(folder=folder)
     told = bench.event()
     assert (told["event"], told["exit_code"]) == ("failed", 69)
-    assert str(tmp_path / "absent") in told["location"]
+    assert str(folder / "ring") in told["location"]
     assert bench.recorder is not None
     assert bench.recorder.wait(HURRY) == 69
 

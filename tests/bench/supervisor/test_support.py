@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.supervisor.child import Child, ManagedProcess
-from bench.supervisor.child_process import Condition, HeartbeatSender
+from bench.supervisor.child_process import Condition, HeartbeatSender, heartbeat_file
 
 pytestmark = pytest.mark.live
 
@@ -20,7 +20,7 @@ class Nursery:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.syspath_prepend(str(folder))
         (folder / "sleeper.py").write_text(SLEEP)
-        self.path = folder / "heart"
+        self.folder = folder
         self.children: list[Child] = []
 
     def start(self) -> Child:
@@ -38,7 +38,7 @@ def nursery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Nursery
 
 @pytest.fixture
 def supporter(nursery: Nursery) -> Iterator[ManagedProcess]:
-    made = ManagedProcess("sleeper", nursery.path, nursery.start)
+    made = ManagedProcess("sleeper", nursery.folder, nursery.start)
     yield made
     for child in nursery.children:
         child.kill()
@@ -47,7 +47,7 @@ def supporter(nursery: Nursery) -> Iterator[ManagedProcess]:
 
 @pytest.fixture
 def beat(supporter: ManagedProcess, nursery: Nursery) -> Iterator[Callable[[float, Condition], None]]:
-    heart = HeartbeatSender(nursery.path)
+    heart = HeartbeatSender(heartbeat_file(nursery.folder, "sleeper"))
     yield heart.beat
     heart.close()
 
