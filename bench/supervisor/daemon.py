@@ -284,7 +284,7 @@ class Daemon:
             clean = False
             stack.callback(lambda: self._marker.end(clean=clean))
             self._marker.begin(os.getpid(), self._now().isoformat())
-            notifier = ServiceNotifier.of_environment(os.environ)
+            notifier = ServiceNotifier(os.environ)
             stack.callback(notifier.close)
             try:
                 self._start(stack, owner)
@@ -346,17 +346,19 @@ class Daemon:
     def _start_recorder(self) -> Child:
         c = self.configuration
         plan = RecorderPlan(
-            bench=c.bench.id,
             data_dir=c.bench.data_dir,
             folder=self._folder,
             snapshot_dtype=SNAPSHOT,
             profile=self.profile,
             basis=self._basis,
-            run=self._run,
-            configuration=c.effective(),
-            versions=versions(),
-            real_time=self._real_time,
-            calibrations=self.calibration.record(),
+            run={
+                "bench": c.bench.id,
+                "run": self._run,
+                "configuration": c.effective(),
+                "versions": versions(),
+                "real_time": self._real_time,
+                "calibrations": self.calibration.record(),
+            },
             plant=None if c.launch_monitor.enabled else c.plant,
             around=FlightConditions(c.air, c.wind, c.turf),
             wall=self.wall,

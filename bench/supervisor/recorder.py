@@ -43,7 +43,7 @@ from bench.records.telemetry.record_queue import (
 )
 from bench.records.telemetry.ring import RingReader
 from bench.records.telemetry.swing_cutter import Cycles, RecordSegment, SwingSegmenter
-from bench.records.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
+from bench.records.telemetry.swing_metadata import begin_of, profile_entry, run_entries, since, swing_metadata
 from bench.supervisor.child_process import (
     RING_FILE,
     SNAPSHOT_FILE,
@@ -77,7 +77,6 @@ _SNAPSHOTS = 16
 class RecorderPlan:
     """Parameters of the recorder."""
 
-    bench: str
     data_dir: Path
     folder: Path
     """Shared-memory folder of the bench."""
@@ -86,13 +85,9 @@ class RecorderPlan:
     profile: Profile
     basis: Basis
     """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
-    run: str
-    """Id of the bench's run, the prefix of shot ids."""
-    configuration: Mapping[str, Any]
-    versions: Mapping[str, Any]
-    real_time: Mapping[str, Any] = field(default_factory=dict)
-    """Real-time settings requested by the loop and granted."""
-    calibrations: Mapping[str, Any] = field(default_factory=dict)
+    run: Mapping[str, Any]
+    """Entries of all records: id of the `bench` and of its `run`, the prefix of shot ids; `configuration`,
+    `versions` and `calibrations`; `real_time`, the settings requested by the loop and granted."""
     wall: bool = True
     """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
     lead: float = 0.5
@@ -125,15 +120,7 @@ class Recorder:
                 cannot be written as JSON.
         """
         self._plan = plan
-        self._entries = RunMetadata(
-            plan.bench,
-            plan.run,
-            plan.profile,
-            plan.configuration,
-            plan.versions,
-            plan.real_time,
-            plan.calibrations,
-        ).entries()
+        self._entries = run_entries(plan.run, plan.profile)
         folder = plan.folder
         self._heartbeat = HeartbeatSender(heartbeat_file(folder, "recorder"))
         self._ring = RingReader(folder / RING_FILE, from_oldest=True)
@@ -146,7 +133,7 @@ class Recorder:
         self._timing = TimingReader(folder / TIMING_FILE)
         self._timed = self._timing.snapshot()
         self._drift = DriftMonitor()
-        self._swings = plan.data_dir / "swings" / plan.bench
+        self._swings = plan.data_dir / "swings" / plan.run["bench"]
         remove_partial(self._swings)
         self._number = int(self._heartbeat.last["done"][0])
         self._from = 0
@@ -285,7 +272,7 @@ class Recorder:
 
     def _drift_of(self, cut: RecordSegment, metadata: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return speed and place of the head at the ball against the swings before; None without a strike."""
-        plant = self._plan.configuration.get("plant")
+        plant = self._plan.run["configuration"].get("plant")
         encoders = plant.get("encoders") if isinstance(plant, Mapping) else None
         counts = encoders.get("counts_per_revolution", 0) if isinstance(encoders, Mapping) else 0
         if not counts or cut.lost or metadata["outcome"]["cause"] != Cause.NONE.name:

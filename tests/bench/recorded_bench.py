@@ -53,17 +53,19 @@ class RecordedBench:
     def plan(self, **changes: Any) -> RecorderPlan:
         return RecorderPlan(
             **{
-                "bench": "b1",
                 "data_dir": self.data,
                 "folder": self.folder,
                 "snapshot_dtype": SNAPSHOT,
                 "profile": (profile := load_profile(find_profile("default"))),
                 "basis": basis_of(profile),
-                "run": "r",
-                "configuration": {"loop": {"rate": 1000}},
-                "versions": {"golfbench": "test"},
-                "real_time": {"scheduling": "FIFO"},
-                "calibrations": {"date": "2026-11-21"},
+                "run": {
+                    "bench": "b1",
+                    "run": "r",
+                    "configuration": {"loop": {"rate": 1000}},
+                    "versions": {"golfbench": "test"},
+                    "real_time": {"scheduling": "FIFO"},
+                    "calibrations": {"date": "2026-11-21"},
+                },
                 "lead": 0.125,
                 "tail": 0.25,
                 **changes,

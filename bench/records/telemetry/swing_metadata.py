@@ -37,7 +37,7 @@ import base64
 import json
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from datetime import UTC, datetime
 from hashlib import sha256
 from math import floor
@@ -57,43 +57,24 @@ _MAX_PROFILE_BYTES = 64 << 20
 """Bytes of a profile's JSON."""
 
 
-@dataclass(frozen=True)
-class RunMetadata:
-    """Values shared by all records of one run; JSON-able, without NaN."""
+def run_entries(run: Mapping[str, Any], profile: Profile) -> dict[str, Any]:
+    """Return the keys of the metadata that all records of one run share: those of `run`, and the profile.
 
-    bench: str
-    run: str
-    profile: Profile
-    configuration: Mapping[str, Any]
-    versions: Mapping[str, Any]
-    real_time: Mapping[str, Any]
-    calibrations: Mapping[str, Any]
-
-    def entries(self) -> dict[str, Any]:
-        """Return their keys of the metadata.
-
-        Raises:
-            BenchError: a value cannot be written as JSON, for example NaN.
-        """
-        given = {
-            "bench": self.bench,
-            "run": self.run,
-            "configuration": self.configuration,
-            "versions": self.versions,
-            "real_time": self.real_time,
-            "calibrations": self.calibrations,
-            "profile": profile_entry(self.profile),
-        }
-        try:
-            entries: dict[str, Any] = json.loads(json.dumps(given, allow_nan=False))
-        except (TypeError, ValueError) as error:
-            raise BenchError(
-                "metadata of records",
-                str(error),
-                "values that JSON can hold, no NaN",
-                "Report this error with the record.",
-            ) from error
-        return entries
+    Raises:
+        BenchError: a value cannot be written as JSON, for example NaN.
+    """
+    try:
+        entries: dict[str, Any] = json.loads(
+            json.dumps({**run, "profile": profile_entry(profile)}, allow_nan=False)
+        )
+    except (TypeError, ValueError) as error:
+        raise BenchError(
+            "metadata of records",
+            str(error),
+            "values that JSON can hold, no NaN",
+            "Report this error with the record.",
+        ) from error
+    return entries
 
 
 def swing_metadata(
@@ -107,7 +88,7 @@ def swing_metadata(
 ) -> dict[str, Any]:
     """Return the metadata of record `number` with the cycles of `cut` (loop's times, at least one).
 
-    `entries` are those of Surroundings; of `snapshots` (one-element arrays with `tick` and `time`) the first
+    `entries` are those of `run_entries`; of `snapshots` (one-element arrays with `tick` and `time`) the first
     that the record can be replayed from is stored.
     """
     cycles = cut.cycles
