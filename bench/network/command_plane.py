@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from threading import Condition, Lock, Thread
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import zenoh
 
@@ -185,12 +185,6 @@ class CommandPlane:
         self._schema = session.declare_queryable(
             f"{self._root}/schema", zenoh.handlers.Callback(self._send_contract, indirect=False)
         )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> bool:
         """Close within 2 s: waiting requests are refused, stops are carried out; False if the desk hangs."""

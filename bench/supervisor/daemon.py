@@ -324,7 +324,8 @@ class Daemon:
         self._real_time = report["real_time"]
         _log.info("the loop is ready, a tick takes %.0f us", 1e-3 * report["tick_ns"])
         self._link.connect()
-        self._timing = stack.enter_context(TimingReader(folder / TIMING_FILE))
+        self._timing = TimingReader(folder / TIMING_FILE)
+        stack.callback(self._timing.close)
         self._before_timing = self._timing.snapshot()
         self._summed_up = self._advanced = self._turned = time.monotonic()
         self._turn_gap = 0.0
@@ -332,7 +333,8 @@ class Daemon:
         self._before = State.STARTING, Phase.STANDING, Reaction.NONE, Cause.NONE
         session = open_daemon(c.network)
         stack.callback(close_session, session)
-        self._plane = stack.enter_context(CommandPlane(session, c.bench.id, self))
+        self._plane = CommandPlane(session, c.bench.id, self)
+        stack.callback(self._plane.close)
         self._support = [
             ManagedProcess("recorder", folder, self._start_recorder, self._note_record),
             ManagedProcess("publisher", folder, self._start_publisher),
