@@ -25,18 +25,13 @@ from bench.network.bench_service import BenchService, BenchStatus, CountStatus, 
 from bench.network.command import (
     CONVENIENCE,
     MAX_COMMAND_BYTES,
+    PLAIN,
     REQUESTS,
     STOPS,
     VERSION,
     Command,
     CommandAnswer,
-    Correct,
-    Keyed,
     LeaseContent,
-    Plain,
-    ReleaseLease,
-    RenewLease,
-    TakeLease,
     Verb,
     encode_answer,
     encode_error,
@@ -333,32 +328,29 @@ class CommandPlane:
         self._answer(query, verb, answer)
 
     def _obey(self, command: Command) -> CommandAnswer:
-        match command:
-            case TakeLease(holder, seconds):
+        verb, key, sequence = command.verb, command.key, command.sequence
+        match command.form:
+            case "lease take":
                 with self._book_lock:
-                    lease = self._book.take(holder, seconds, self._clock())
+                    lease = self._book.take(command.holder, command.seconds, self._clock())
                 return self._of_lease(lease, key=lease.key)
-            case RenewLease(key, sequence, seconds):
+            case "lease renew":
                 with self._book_lock:
-                    lease = self._book.renew(key, sequence, seconds, self._clock())
+                    lease = self._book.renew(key, sequence, command.seconds, self._clock())
                 return self._of_lease(lease)
-            case ReleaseLease(key, sequence):
+            case "lease release":
                 with self._book_lock:
                     self._book.release(key, sequence, self._clock())
                 return self._answer_of(Reply(True, ""))
-            case Keyed(verb, key, sequence):
-                with self._book_lock:
-                    self._book.use(key, sequence, self._clock())
-                return self._asked(lambda: self._service.request(REQUESTS[verb]))
-            case Correct(key, sequence, profile, weights):
-                with self._book_lock:
-                    self._book.use(key, sequence, self._clock())
-                return self._asked(lambda: self._service.correct(profile, weights))
-            case Plain(Verb.STATUS):
+            case Verb.STATUS:
                 status = self._completed(self._service.status())
                 return CommandAnswer(True, status["state"], content=dict(status))
-            case Plain(verb):
-                return self._asked(lambda: self._service.request(REQUESTS[verb]))
+        if verb not in PLAIN:
+            with self._book_lock:
+                self._book.use(key, sequence, self._clock())
+        if verb is Verb.CORRECT:
+            return self._asked(lambda: self._service.correct(command.profile, command.weights))
+        return self._asked(lambda: self._service.request(REQUESTS[verb]))
 
     def _asked(self, ask: Callable[[], Reply]) -> CommandAnswer:
         """Return the desk's reply to `ask`; an exception counts as refused."""

@@ -291,8 +291,7 @@ def _published(root: str) -> list[dict[str, Any]]:
 
 def _command(root: str, form: str) -> dict[str, Any]:
     """Return key, request and answer of a form of a command."""
-    name = form.partition(" ")[0]
-    verb = Verb(name)
+    verb = Verb(form.partition(" ")[0])
     content: Schema = {"type": "object"}
     if verb is Verb.STATUS:
         content = _message(schema_of(BenchStatus), STATUS_VERSION)
