@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import zenoh
 
@@ -131,13 +131,6 @@ class HeldLease:
     """Sequence number of the newest command sent with it."""
 
 
-class ReceivedState(NamedTuple):
-    """A state published by the bench, and its time of arrival (s, time.monotonic)."""
-
-    status: BenchStatus
-    at: float
-
-
 class BenchClient:
     """A connection to a running bench; closes it at the end of a `with`.
 
@@ -184,18 +177,18 @@ class BenchClient:
         """Return the state of the bench."""
         return checked_status(self._ask(Verb.STATUS).content)
 
-    def states(self, timeout: float) -> Generator[ReceivedState | None, None, None]:
+    def states(self, timeout: float) -> Generator[BenchStatus | None, None, None]:
         """Yield each state that the bench publishes, and None whenever `timeout` s pass without one."""
         newest: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
         subscriber = self._session.declare_subscriber(f"{self._root}/state", newest)
         try:
             due = time.monotonic() + timeout
             while True:
-                sample, now = subscriber.try_recv(), time.monotonic()
+                sample = subscriber.try_recv()
                 if sample is not None:
                     payload = sample.payload.to_bytes()
-                    yield ReceivedState(checked_status(json_object(payload) or payload[:40]), now)
-                elif now >= due:
+                    yield checked_status(json_object(payload) or payload[:40])
+                elif time.monotonic() >= due:
                     yield None
                 else:
                     time.sleep(0.01)
@@ -337,8 +330,7 @@ class BenchClient:
                     raise Refused(f"bench {self.bench} after {timeout:g} s", found, wanted, action)
                 heard = next(states)
                 # One with an older tick was under way before, or the bench has restarted.
-                newer = heard is not None and heard.status["tick"] >= status["tick"]
-                status = heard.status if heard is not None and newer else self.status()
+                status = heard if heard is not None and heard["tick"] >= status["tick"] else self.status()
         return status
 
     # The lease -----------------------------------------------------------------------------------

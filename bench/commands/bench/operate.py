@@ -57,7 +57,7 @@ def status(
             typer.echo(json.dumps(bench.status(), indent=None if watch else 2))
             for heard in bench.states(1.0) if watch else ():
                 if heard is not None:
-                    typer.echo(json.dumps(heard.status))
+                    typer.echo(json.dumps(heard))
             return
         from rich.console import Console
 
