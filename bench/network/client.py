@@ -24,11 +24,10 @@ from bench.base.errors import BenchError, Refused
 from bench.base.json_schema import json_object
 from bench.base.lifecycle import ACCEPTED_IN, PASSING, Refusal, State
 from bench.network import status_words
-from bench.network.bench_service import STATUS_VERSION, BenchStatus
+from bench.network.bench_service import STATUS_VERSION, BenchStatus, CommandAnswer
 from bench.network.command import (
     REQUESTS,
     STOPS,
-    CommandAnswer,
     Verb,
     encode_command,
     parse_answer,

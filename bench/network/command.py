@@ -11,12 +11,12 @@ import json
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from math import isfinite
-from typing import Annotated, Any, NamedTuple, NoReturn, NotRequired, TypedDict
+from typing import Any, NamedTuple, NoReturn, NotRequired, TypedDict
 
 from bench.base.errors import BenchError
 from bench.base.json_schema import json_object, misfits, shown
 from bench.base.lifecycle import Cause, Refusal, Request, State
-from bench.network.bench_service import ArmingBlock
+from bench.network.bench_service import ArmingBlock, CommandAnswer
 from bench.network.lease import DEFAULT_SECONDS, MAX_HOLDER_LENGTH, MAX_SECONDS, MIN_SECONDS, is_holder
 from bench.swing.correction_terms import MAX_WEIGHT, MAX_WEIGHTS
 
@@ -287,27 +287,6 @@ class ErrorParts(TypedDict):
     found: str
     expected: str
     action: str
-
-
-class CommandAnswer(NamedTuple):
-    """The bench's answer to a valid command."""
-
-    accepted: bool
-    state: Annotated[str, State]
-    """State after the answer."""
-    refusal: Annotated[str, Refusal] = Refusal.NONE.name
-    """Why it was refused."""
-    cause: Annotated[str, Cause] = Cause.NONE.name
-    """Why the robot was stopped or disarmed before."""
-    reason: str = ""
-    """Why it was refused, for people; empty when accepted."""
-    action: str = ""
-    """Action after the refusal, for people."""
-    note: str = ""
-    """Further information for the operator."""
-    content: Mapping[str, Any] = {}
-    """`status` of status; `holder`, `seconds_left` and, for who took it, `key` of lease; the reasons that
-    block arming of `arm`."""
 
 
 def encode_answer(answer: CommandAnswer) -> bytes:

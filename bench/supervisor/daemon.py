@@ -30,11 +30,11 @@ from bench.loop.snapshot import SNAPSHOT
 from bench.network.bench_service import (
     ArmingBlock,
     BenchStatus,
+    CommandAnswer,
     DeviceStatus,
     LaunchMonitorStatus,
     LeaseStatus,
     LoopStatus,
-    Reply,
     refused,
 )
 from bench.network.command_plane import CommandPlane
@@ -153,13 +153,14 @@ class Daemon:
 
     # Commands ------------------------------------------------------------------------------------
 
-    def request(self, request: Request) -> Reply:
+    def request(self, request: Request) -> CommandAnswer:
         """Send `request` to the loop and wait for its answer; a bench that is not ready is not armed."""
         if request is Request.ARM:
             self._blocks = self._assess_again()
             if self._blocks:
                 fact = f"arming blocked: {'; '.join(map(block_text, self._blocks))}"
-                return refused(self._link.state, Refusal.BLOCKED, fact)._replace(blocks=self._blocks)
+                content = {"arming_blocks": self._blocks}
+                return refused(self._link.state, Refusal.BLOCKED, fact)._replace(content=content)
         self._grant()  # a lease taken since the last turn counts for this request
         return self._link.request(request)
 
@@ -187,7 +188,7 @@ class Daemon:
             )
         return blocks
 
-    def correct(self, profile: str, weights: Sequence[float]) -> Reply:
+    def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Apply a correction learned for this profile from now on; without weights none."""
         if profile != self._profile_digest:
             return self._not_corrected("learned for another profile, or another version of it")
@@ -202,16 +203,12 @@ class Daemon:
                 return self._not_corrected(f"corrected, {beyond}", "learn again on a better model")
         return self._link.correct(weights)
 
-    def _not_corrected(self, fact: str, action: str = "") -> Reply:
+    def _not_corrected(self, fact: str, action: str = "") -> CommandAnswer:
         return refused(self._link.state, Refusal.CORRECTION, fact, action)
 
-    def stop(self) -> Reply:
-        """Stop according to the stopping table."""
-        return self._link.stop(Request.STOP)
-
-    def emergency_stop(self) -> Reply:
-        """Stop as with an open emergency stop circuit."""
-        return self._link.stop(Request.EMERGENCY_STOP)
+    def stop(self, request: Request) -> CommandAnswer:
+        """Stop according to the stopping table, or as with an open emergency stop circuit."""
+        return self._link.stop(request)
 
     def status(self) -> BenchStatus:
         """Return the status; the command plane adds `lease` and `counts`."""

@@ -14,8 +14,8 @@ from threading import Lock
 from typing import NamedTuple
 
 from bench.base.errors import Refused
+from bench.network.bench_service import CommandAnswer
 from bench.network.client import BenchClient
-from bench.network.command import CommandAnswer
 
 TIMEOUT = 2.0
 """Time for which a command is retried while the bench refuses it for a passing reason, s.

@@ -11,7 +11,7 @@ from threading import Barrier
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from bench.base.errors import BenchError
-from bench.network.command import CommandAnswer
+from bench.network.bench_service import CommandAnswer
 from bench.network.lease import MAX_HOLDER_LENGTH
 from bench.web.answers import Asked, InvalidBody, UnknownName, body_of, json_answer, refusal_answer, text_in
 from bench.web.bench_link import BenchLink

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import NEEDS_LEASE, Cause, Refusal, Request, State
+from bench.network.bench_service import CommandAnswer
 from bench.network.command import (
     FORMS,
     MAX_COMMAND_BYTES,
     PLAIN,
     REQUESTS,
     Command,
-    CommandAnswer,
     Verb,
     encode_answer,
     encode_command,

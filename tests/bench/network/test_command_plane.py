@@ -17,11 +17,11 @@ import zenoh
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Request, State
+from bench.network.bench_service import CommandAnswer
 from bench.network.command import (
     CONVENIENCE,
     MAX_COMMAND_BYTES,
     REQUESTS,
-    CommandAnswer,
     Verb,
     encode_command,
     parse_answer,
