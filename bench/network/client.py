@@ -79,7 +79,8 @@ class CommandRefused(Refused):
     """A request refused by the bench, with its `answer`."""
 
     def __init__(self, bench: str, verb: Verb, answer: CommandAnswer) -> None:
-        blocks = answer.content.get("arming_blocks", ())
+        self.verb, self.answer = verb, answer
+        location, blocks = f"{verb} of bench {bench}", answer.content.get("arming_blocks", ())
         if blocks:
             found, expected, actions = (
                 dict.fromkeys(parts)
@@ -88,22 +89,18 @@ class CommandRefused(Refused):
                     strict=True,
                 )
             )
-            super().__init__(
-                f"{verb} of bench {bench}", "; ".join(found), "; ".join(expected), " ".join(actions)
-            )
-            self.verb, self.answer = verb, answer
+            super().__init__(location, "; ".join(found), "; ".join(expected), " ".join(actions))
             return
         states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
         wrong_state = answer.refusal == Refusal.STATE.name
         command = f"Next: {status_words.COMMANDS[State[answer.state]]}."
         action = status_words.sentence(answer.action.removesuffix("."))
         super().__init__(
-            f"{verb} of bench {bench}",
+            location,
             f"refused in state {answer.state}: {answer.reason}",
             f"state {' or '.join(states)}" if wrong_state else "no blocking condition",
             " ".join(filter(None, (action, command if wrong_state else ""))) or "Look at golfbench status.",
         )
-        self.verb, self.answer = verb, answer
 
     @property
     def refusal(self) -> Refusal:
