@@ -44,10 +44,9 @@ from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication
 from bench.records.telemetry.shot_id import run_id
 from bench.supervisor.child import Child, ManagedProcess
-from bench.supervisor.child_process import TIMING_FILE
+from bench.supervisor.child_process import TIMING_FILE, LaunchMonitorPlan, LoopPlan
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import Ownership, take_bench
-from bench.supervisor.plan import LaunchMonitorPlan, LoopPlan
 from bench.supervisor.publisher import PublisherPlan
 from bench.supervisor.readiness import arming_block, assess, assess_bench
 from bench.supervisor.recorder import RecorderPlan

@@ -37,13 +37,13 @@ from bench.supervisor.child_process import (
     RING_FILE,
     Condition,
     HeartbeatSender,
+    LaunchMonitorPlan,
     Parent,
     heartbeat_file,
     read_plan,
     send_event,
     send_failure,
 )
-from bench.supervisor.plan import LaunchMonitorPlan
 from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient

@@ -39,6 +39,7 @@ from bench.supervisor.child_process import (
     RING_FILE,
     SNAPSHOT_FILE,
     TIMING_FILE,
+    LoopPlan,
     Parent,
     read_plan,
     send_event,
@@ -46,7 +47,6 @@ from bench.supervisor.child_process import (
 )
 from bench.supervisor.correction import CorrectionReader
 from bench.supervisor.ownership import adopt
-from bench.supervisor.plan import LoopPlan
 from bench.supervisor.real_time import real_time
 from bench.supervisor.supervision import SUPERVISION_FILE, Orders
 from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing, new_timing

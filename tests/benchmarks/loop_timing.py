@@ -34,10 +34,9 @@ from bench.commands.bench.nodes import nodes_plan
 from bench.commands.common.progress import progress_bar
 from bench.config import Configuration, load_configuration
 from bench.supervisor.child import Child
-from bench.supervisor.child_process import TIMING_FILE
+from bench.supervisor.child_process import TIMING_FILE, LoopPlan
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import take_bench
-from bench.supervisor.plan import LoopPlan
 from bench.supervisor.real_time import PRIORITY
 from bench.supervisor.timing_record import SEGMENTS, TIMING, TimingReader, percentile, summary
 from bench.swing.correction import basis_of
