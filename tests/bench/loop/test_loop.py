@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.base.clock import FreeClock, PacedClock
+from bench.base.clock import FreeClock
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.settings import (
     ControlSettings,
@@ -320,29 +320,6 @@ def test_bring_to_rest_tick_limit_makes_passive(holding: Loop, driver: Faulty) -
     assert sum(map(len, records)) == 15
     assert phase(holding) != Phase.STANDING
     assert driver.applied == PASSIVE
-
-
-def test_free_clock_times_are_exact_multiples_of_period() -> None:
-    clock = FreeClock(PERIOD)
-    assert [clock.wait() for _ in range(5000)] == [k * PERIOD for k in range(5000)]
-
-
-def test_paced_clock_late_tick_counts_slip() -> None:
-    wall, naps = [100.0], []
-
-    def sleep(duration: float) -> None:
-        naps.append(duration)
-        wall[0] += duration
-
-    clock = PacedClock(PERIOD, lambda: wall[0], sleep)
-    times = []
-    for k in range(6):
-        times.append(clock.wait())
-        wall[0] += 0.0005 if k != 2 else 0.0205
-    assert times == [k * PERIOD for k in range(6)]
-    assert clock.slips == 1
-    assert clock.slipped == pytest.approx(0.0195)
-    assert naps == pytest.approx([0.0005] * 4)
 
 
 def test_cycle_replaced_state_and_parameters_apply_in_next_tick(holding: Loop) -> None:
