@@ -203,7 +203,7 @@ class LoopProcess:
             clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
             self._used_before = self._used = self._read_usage()
-            send_event("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
+            send_event("ready", real_time=granted, tick_ns=self.tick_ns)
             return self._live(clock)
 
     def _bind(self) -> None:
