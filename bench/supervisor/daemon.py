@@ -6,10 +6,8 @@ permissions and requests.
 
 from __future__ import annotations
 
-import importlib.metadata
 import logging
 import os
-import platform
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -43,6 +41,7 @@ from bench.network.zenoh_session import close_session, open_daemon
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication
 from bench.records.telemetry.shot_id import run_id
+from bench.records.telemetry.swing_metadata import versions
 from bench.supervisor.child import Child, ManagedProcess
 from bench.supervisor.child_process import TIMING_FILE, LaunchMonitorPlan, LoopPlan
 from bench.supervisor.loop_link import LoopLink
@@ -88,12 +87,6 @@ class LoopDied(BenchError):
     """The loop ended unexpectedly."""
 
     exit_code = ExitCode.DEVICE
-
-
-def versions() -> dict[str, str]:
-    """Return the versions stored with every record."""
-    names = ("golfbench", "numpy", "numba", "scipy")
-    return {name: importlib.metadata.version(name) for name in names} | {"python": platform.python_version()}
 
 
 class Daemon:

@@ -35,11 +35,13 @@ from __future__ import annotations
 
 import base64
 import json
+import platform
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from datetime import UTC, datetime
 from hashlib import sha256
+from importlib.metadata import version
 from math import floor
 from typing import Any
 
@@ -55,6 +57,12 @@ _GRID = 1024
 """`begin` is a multiple of its inverse, s."""
 _MAX_PROFILE_BYTES = 64 << 20
 """Bytes of a profile's JSON."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions stored with every record."""
+    names = ("golfbench", "numpy", "numba", "scipy")
+    return {name: version(name) for name in names} | {"python": platform.python_version()}
 
 
 def run_entries(run: Mapping[str, Any], profile: Profile) -> dict[str, Any]:
