@@ -127,7 +127,7 @@ class BenchProcess:
     def take_address(self) -> BenchStatus:
         """Arm, and wait until the robot holds at its address."""
         self.client.arm()
-        return self.client.wait_for("ARMED", phase="HOLD")
+        return self.client.wait_until_armed()
 
     def swing(self, longest: float = 10.0) -> None:
         """Swing as soon as the robot rests at its address."""

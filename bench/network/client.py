@@ -255,22 +255,19 @@ class BenchClient:
             found.append(message)
         return found
 
-    def wait_for(
-        self, state: str, *, phase: str | None = None, timeout: float = 30.0, watch: Watch | None = None
-    ) -> BenchStatus:
-        """Wait up to `timeout` s for `state`, and for `phase` in it where given; return the status.
+    def wait_for(self, state: str, *, timeout: float = 30.0, watch: Watch | None = None) -> BenchStatus:
+        """Wait up to `timeout` s for `state`; return the status.
 
         `watch` gets every status on the way.
 
         Raises:
             Refused: ESTOP or FAULT instead, or time-out.
         """
-        wanted = state if phase is None else f"{state} in phase {phase}"
 
-        def reached(status: BenchStatus) -> bool:
-            return status["state"] == state and phase in (None, status["phase"])
+        def on_the_way(status: BenchStatus) -> bool:
+            return status["state"] not in LATCHED
 
-        return self._wait(reached, wanted, lambda status: status["state"] not in LATCHED, timeout, watch)
+        return self._wait(lambda status: status["state"] == state, state, on_the_way, timeout, watch)
 
     def wait_until_armed(self, *, timeout: float = 60.0, watch: Watch | None = None) -> BenchStatus:
         """Wait up to `timeout` s until the robot rests at its address, ready to swing; return the status.
