@@ -246,14 +246,8 @@ class Daemon:
         process, reported = self._launch_monitor, self._monitored
         if process is None or process.ready:
             return None if process is None else reported
-        status = LaunchMonitorStatus(**reported)
-        status |= {
-            "listening": "",
-            "present": False,
-            "monitors": [],
-            "note": reported["note"] or process.note,
-        }
-        return status
+        note = reported["note"] or process.note
+        return {**reported, "listening": "", "present": False, "monitors": [], "note": note}
 
     # The run -------------------------------------------------------------------------------------
 
@@ -427,11 +421,11 @@ class Daemon:
             return
         before, self._lease = self._lease, self._plane.lease_status()
         if before is not None and self._lease is None:
-            self._publish("lease ended", {"holder": before["holder"]})
+            self._publish("lease ended", holder=before["holder"])
         elif self._lease is not None and self._lease["lapsing"] and not (before and before["lapsing"]):
             _log.warning("the lease of %s lapses soon", self._lease["holder"])
-            told = {"holder": self._lease["holder"], "seconds_left": self._lease["seconds_left"]}
-            self._publish("lease lapses", told)
+            left = self._lease["seconds_left"]
+            self._publish("lease lapses", holder=self._lease["holder"], seconds_left=left)
 
     def _sum_up(self, now: float) -> None:
         """Update the loop statistics since the last call."""
@@ -465,7 +459,7 @@ class Daemon:
         for event in loop.take_events():
             if event["event"] == "exception":
                 _log.error("the loop: %s", event.get("text"))
-                self._publish("exception", {"text": str(event.get("text"))})
+                self._publish("exception", text=str(event.get("text")))
             elif event["event"] == "device":
                 self._device = DeviceStatus(fault=event["fault"], counters=event["counters"])
                 self._link.fault = event["fault"]
@@ -488,7 +482,7 @@ class Daemon:
         state, phase, _, _ = self._before
         text = f"the loop {how} in state {state.name}, phase {phase.name}"
         self._marker.note_stop(self._stop_entry("RESTART", text, state, phase), fatal=True)
-        self._publish("loop died", {"text": text})
+        self._publish("loop died", text=text)
         return LoopDied(
             f"bench {self.configuration.bench.id}: loop",
             f"it {how}; state {state.name}, phase {phase.name}",
@@ -502,13 +496,8 @@ class Daemon:
         before = np.vstack([np.array([self._before], dtype=keys.dtype), keys[:-1]])
         for k in np.flatnonzero(np.any(keys != before, axis=1)):
             old = self._before
-            codes = keys[k].tolist()
-            state, phase, reaction, cause = (
-                State(codes[0]),
-                Phase(codes[1]),
-                Reaction(codes[2]),
-                Cause(codes[3]),
-            )
+            s, p, r, c = keys[k].tolist()
+            state, phase, reaction, cause = State(s), Phase(p), Reaction(r), Cause(c)
             self._before = state, phase, reaction, cause
             if cause is not old[3]:
                 envelope, period = self.configuration.envelope, 1.0 / self.configuration.loop.rate
@@ -534,16 +523,14 @@ class Daemon:
                 self._disarmed = found
                 _log.warning("%s: %s", found.name, CAUSE_TEXT[found])
             self._marker.note_state(state.name, phase.name)
-            tick = {"tick": int(cycles["tick"][k]), "loop_time": float(cycles["time"][k])}
             self._publish(
                 "change",
-                {
-                    "state": state.name,
-                    "phase": phase.name,
-                    "reaction": reaction.name,
-                    "cause": (cause or self._disarmed).name,
-                }
-                | tick,
+                state=state.name,
+                phase=phase.name,
+                reaction=reaction.name,
+                cause=(cause or self._disarmed).name,
+                tick=int(cycles["tick"][k]),
+                loop_time=float(cycles["time"][k]),
             )
             if state in LATCHED and cause not in (Cause.NONE, old[3], Cause.POWER_UP, Cause.RESTART):
                 self._marker.note_stop(
@@ -581,7 +568,7 @@ class Daemon:
         elif event["event"] == "shot":
             self._shots.note_outcome(event["message"], time.monotonic())
 
-    def _publish(self, event: str, content: dict[str, Any]) -> None:
+    def _publish(self, event: str, **content: Any) -> None:
         if self._plane is not None:
             self._plane.publish_event(event, content)
 
