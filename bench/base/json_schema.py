@@ -18,6 +18,8 @@ from datetime import datetime
 from enum import Enum, StrEnum
 from functools import cache, reduce
 from itertools import pairwise
+from math import isfinite
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints
 
@@ -138,6 +140,23 @@ def _bodies(module: str) -> dict[str, list[ast.stmt]]:
     """Return the statements of each class of `module`, whose source is read once."""
     tree = ast.parse(inspect.getsource(sys.modules[module]))
     return {node.name: node.body for node in tree.body if isinstance(node, ast.ClassDef)}
+
+
+def json_value(value: Any) -> Any:
+    """Return a nested `value` as JSON has it: numbers that are not finite as None, paths as texts."""
+    match value:
+        case dict():
+            return {key: json_value(item) for key, item in value.items()}
+        case tuple() if hasattr(value, "_asdict"):
+            return json_value(value._asdict())
+        case list() | tuple():
+            return [json_value(item) for item in value]
+        case float():
+            return value if isfinite(value) else None
+        case Path():
+            return str(value)
+        case _:
+            return value
 
 
 def json_object(payload: bytes) -> dict[str, Any] | None:

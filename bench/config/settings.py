@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 import re
 from dataclasses import asdict, dataclass, field, fields, replace
-from math import isnan, pi, radians
+from math import pi, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from bench.base.address import BenchSettings, NetworkSettings
 from bench.base.errors import BenchError
 from bench.base.from_toml import format_value
+from bench.base.json_schema import json_value
 from bench.control.made_for import LimitsFingerprint
 from bench.control.residual_thresholds import LimitsInUse, limits_in_use, limits_path
 from bench.control.settings import (
@@ -244,7 +245,7 @@ class Configuration:
     def effective(self) -> dict[str, Any]:
         """Return all values nested as in the file, SI and radians, for records and reports; no password."""
         shown_here = replace(self.bench, database=_PASSWORD.sub(r"\1***@", self.bench.database))
-        return {name: _plain(value) for name, value in asdict(replace(self, bench=shown_here)).items()}
+        return {name: json_value(value) for name, value in asdict(replace(self, bench=shown_here)).items()}
 
 
 def _choice(c: Configuration, section: str, name: str) -> Any:
@@ -255,17 +256,3 @@ def _choice(c: Configuration, section: str, name: str) -> Any:
     raise BenchError(
         f"{files}: {section}", f"no {format_value(name)}", f"one of {', '.join(entries)}", "Add or rename it."
     )
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case dict():
-            return {key: _plain(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_plain(item) for item in value]
-        case Path():
-            return str(value)
-        case float() if isnan(value):
-            return None
-        case _:
-            return value
