@@ -124,17 +124,12 @@ class HeartbeatSender:
     """The child's side of a heartbeat."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file at `path`, or create it.
+        """Open the file at `path`.
 
         Raises:
-            SharedMemoryError: it cannot be created or used.
+            SharedMemoryError: the supervisor has not created it, or it cannot be used.
         """
-        try:
-            self._shared = SharedRecord.open(path, HEARTBEAT)
-        except SharedMemoryError:
-            if path.exists():
-                raise
-            self._shared = SharedRecord.create(path, HEARTBEAT)
+        self._shared = SharedRecord.open(path, HEARTBEAT)
         self.last = np.zeros(1, HEARTBEAT)
         """Last heartbeat, initially that of the previous process."""
         self._shared.read(self.last)
