@@ -123,13 +123,13 @@ so that a restarted child continues in it."""
 class HeartbeatSender:
     """The child's side of a heartbeat."""
 
-    def __init__(self, path: Path) -> None:
-        """Open the file at `path`.
+    def __init__(self, folder: Path, name: str) -> None:
+        """Open the file of process `name` in the bench's `folder`.
 
         Raises:
             SharedMemoryError: the supervisor has not created it, or it cannot be used.
         """
-        self._shared = SharedRecord.open(path, HEARTBEAT)
+        self._shared = SharedRecord.open(heartbeat_file(folder, name), HEARTBEAT)
         self.last = np.zeros(1, HEARTBEAT)
         """Last heartbeat, initially that of the previous process."""
         self._shared.read(self.last)

@@ -39,7 +39,6 @@ from bench.supervisor.child_process import (
     HeartbeatSender,
     LaunchMonitorPlan,
     Parent,
-    heartbeat_file,
     read_plan,
     send_event,
     send_failure,
@@ -110,7 +109,7 @@ class LaunchMonitorService:
         settings = plan.settings
         self._stack = ExitStack()
         try:
-            self._heartbeat = HeartbeatSender(heartbeat_file(plan.folder, "launch monitor"))
+            self._heartbeat = HeartbeatSender(plan.folder, "launch monitor")
             self._stack.callback(self._heartbeat.close)
             self._ring = RingReader(plan.folder / RING_FILE)
             self._stack.callback(self._ring.close)

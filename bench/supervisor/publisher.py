@@ -39,7 +39,6 @@ from bench.supervisor.child_process import (
     Condition,
     HeartbeatSender,
     Parent,
-    heartbeat_file,
     read_plan,
     send_event,
     send_failure,
@@ -83,7 +82,7 @@ class Publisher:
             BenchError, SharedMemoryError: a shared file is unusable, or the endpoint is unreachable.
         """
         self._wall = plan.wall
-        self._heartbeat = HeartbeatSender(heartbeat_file(plan.folder, "publisher"))
+        self._heartbeat = HeartbeatSender(plan.folder, "publisher")
         self._timing = TimingReader(plan.folder / TIMING_FILE)
         self._session = open_client(plan.network, plan.bench)
         declare, drop = self._session.declare_publisher, zenoh.CongestionControl.DROP

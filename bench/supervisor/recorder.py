@@ -51,7 +51,6 @@ from bench.supervisor.child_process import (
     Condition,
     HeartbeatSender,
     Parent,
-    heartbeat_file,
     read_plan,
     send_event,
     send_failure,
@@ -122,7 +121,7 @@ class Recorder:
         self._plan = plan
         self._entries = run_entries(plan.run, plan.profile)
         folder = plan.folder
-        self._heartbeat = HeartbeatSender(heartbeat_file(folder, "recorder"))
+        self._heartbeat = HeartbeatSender(folder, "recorder")
         self._ring = RingReader(folder / RING_FILE, from_oldest=True)
         self._snapshot = SharedRecord.open(folder / SNAPSHOT_FILE, plan.snapshot_dtype)
         self._snapshots: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)

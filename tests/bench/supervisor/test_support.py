@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.supervisor.child import Child, ManagedProcess
-from bench.supervisor.child_process import Condition, HeartbeatSender, heartbeat_file
+from bench.supervisor.child_process import Condition, HeartbeatSender
 
 pytestmark = pytest.mark.live
 
@@ -47,7 +47,7 @@ def supporter(nursery: Nursery) -> Iterator[ManagedProcess]:
 
 @pytest.fixture
 def beat(supporter: ManagedProcess, nursery: Nursery) -> Iterator[Callable[[float, Condition], None]]:
-    heart = HeartbeatSender(heartbeat_file(nursery.folder, "sleeper"))
+    heart = HeartbeatSender(nursery.folder, "sleeper")
     yield heart.beat
     heart.close()
 
