@@ -19,10 +19,10 @@ from bench.control.step_records import ControlState, new_control_state
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot, read_snapshot, unpack_snapshot
 from bench.records.telemetry.swing_cutter import RecordSegment
 from bench.records.telemetry.swing_metadata import (
-    RunMetadata,
     begin_of,
     profile_entry,
     read_profile,
+    run_entries,
     since,
     snapshot_entry,
     swing_metadata,
@@ -175,7 +175,7 @@ def test_read_profile_invalid_entry_is_refused(profile: Profile) -> None:
 def test_run_metadata_entries_without_json_form_raise_error(profile: Profile) -> None:
     for bad in (float("nan"), object()):
         with pytest.raises(BenchError, match="metadata of records"):
-            RunMetadata("b", "r", profile, {"x": bad}, {}, {}, {}).entries()
-    entries = RunMetadata("b", "r", profile, {"x": (1, 2)}, {}, {}, {"club": 1}).entries()
+            run_entries({"x": bad}, profile)
+    entries = run_entries({"configuration": {"x": (1, 2)}, "calibrations": {"club": 1}}, profile)
     assert entries["configuration"] == {"x": [1, 2]}
     assert entries["profile"]["name"] == profile.name
