@@ -53,7 +53,7 @@ class Verb(StrEnum):
     CORRECT = "correct"
 
 
-class Command(NamedTuple):
+class ParsedCommand(NamedTuple):
     """A valid command; the values that its form does not have are not used."""
 
     form: str
@@ -161,7 +161,7 @@ def form_schema(form: str) -> dict[str, Any]:
     }
 
 
-def parse_command(verb: str, payload: bytes) -> Command:
+def parse_command(verb: str, payload: bytes) -> ParsedCommand:
     """Return the command that came as `payload` at `verb`.
 
     Raises:
@@ -187,7 +187,7 @@ def parse_command(verb: str, payload: bytes) -> Command:
     values = {name: value for name, value in message.items() if name not in ("version", "action")}
     if "weights" in values:
         values["weights"] = tuple(map(float, values["weights"]))
-    return Command(form, **values)
+    return ParsedCommand(form, **values)
 
 
 def encode_command(verb: Verb, **values: Any) -> bytes:

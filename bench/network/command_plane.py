@@ -37,8 +37,8 @@ from bench.network.command import (
     REQUESTS,
     STOPS,
     VERSION,
-    Command,
     LeaseContent,
+    ParsedCommand,
     Verb,
     encode_answer,
     encode_error,
@@ -334,7 +334,7 @@ class CommandPlane:
             answer = self._failed(error)
         self._answer(query, verb, answer)
 
-    def _obey(self, command: Command) -> CommandAnswer:
+    def _obey(self, command: ParsedCommand) -> CommandAnswer:
         verb, key, sequence = command.verb, command.key, command.sequence
         match command.form:
             case "lease take":

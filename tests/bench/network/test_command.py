@@ -17,7 +17,7 @@ from bench.network.command import (
     MAX_COMMAND_BYTES,
     PLAIN,
     REQUESTS,
-    Command,
+    ParsedCommand,
     Verb,
     encode_answer,
     encode_command,
@@ -41,13 +41,13 @@ def refused(verb: str, payload: bytes | str) -> BenchError:
 
 @pytest.mark.parametrize("verb", sorted(PLAIN))
 def test_parse_command_plain_verb_rejects_key(verb: Verb) -> None:
-    assert parse_command(verb, b'{"version": 1}') == Command(verb)
+    assert parse_command(verb, b'{"version": 1}') == ParsedCommand(verb)
     assert "an unknown key" in refused(verb, KEYED).found
 
 
 @pytest.mark.parametrize("verb", sorted(REQUESTS.keys() - PLAIN))
 def test_parse_command_motion_verb_requires_key_and_sequence(verb: Verb) -> None:
-    assert parse_command(verb, KEYED.encode()) == Command(verb, KEY, 1)
+    assert parse_command(verb, KEYED.encode()) == ParsedCommand(verb, KEY, 1)
     assert refused(verb, '{"version": 1}').found == "missing"
 
 
@@ -63,10 +63,10 @@ def correct(**values: Any) -> bytes:
 
 
 def test_parse_command_correct_returns_profile_and_weights() -> None:
-    assert parse_command("correct", correct()) == Command(
+    assert parse_command("correct", correct()) == ParsedCommand(
         "correct", KEY, 1, profile="0123456789abcdef", weights=(0.5,)
     )
-    assert parse_command("correct", correct(weights=[])) == Command(
+    assert parse_command("correct", correct(weights=[])) == ParsedCommand(
         "correct", KEY, 1, profile="0123456789abcdef"
     )
     most = correct(weights=[-1.2345678901234567] * MAX_WEIGHTS)
@@ -88,13 +88,13 @@ def test_parse_command_correct_invalid_profile_is_rejected(profile: Any) -> None
 
 def test_parse_command_lease_accepts_take_renew_release() -> None:
     take = encode_command(Verb.LEASE, action="take", holder="Ann")
-    assert parse_command("lease", take) == Command("lease take", holder="Ann", seconds=30.0)
+    assert parse_command("lease", take) == ParsedCommand("lease take", holder="Ann", seconds=30.0)
     take = encode_command(Verb.LEASE, action="take", holder="Ann", seconds=60)
-    assert parse_command("lease", take) == Command("lease take", holder="Ann", seconds=60)
+    assert parse_command("lease", take) == ParsedCommand("lease take", holder="Ann", seconds=60)
     renew = encode_command(Verb.LEASE, action="renew", key=KEY, sequence=2, seconds=12.5)
-    assert parse_command("lease", renew) == Command("lease renew", KEY, 2, seconds=12.5)
+    assert parse_command("lease", renew) == ParsedCommand("lease renew", KEY, 2, seconds=12.5)
     release = encode_command(Verb.LEASE, action="release", key=KEY, sequence=3)
-    assert parse_command("lease", release) == Command("lease release", KEY, 3)
+    assert parse_command("lease", release) == ParsedCommand("lease release", KEY, 3)
 
 
 def test_parse_command_unknown_verb_error_lists_known_verbs() -> None:
@@ -181,7 +181,7 @@ OBJECTS = st.dictionaries(st.sampled_from(NAMES) | st.text(max_size=9), VALUES, 
 VERBS = st.sampled_from(sorted(Verb)) | st.text()
 
 
-def parsed(verb: str, payload: bytes) -> Command | BenchError:
+def parsed(verb: str, payload: bytes) -> ParsedCommand | BenchError:
     """Return the command or error; any other exception fails the test."""
     try:
         return parse_command(verb, payload)

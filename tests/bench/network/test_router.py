@@ -124,13 +124,13 @@ def rule(name: str, flow: str, messages: list[str], key: str) -> dict[str, objec
 
 
 def router_access() -> dict[str, list[dict[str, object]]]:
-    """Of a router between bench1 and clients: bench1 speaks for itself only, and everybody comes by TLS."""
+    """Return the access at a router: bench1 speaks for itself only, and everyone comes by TLS."""
     bench = access_control(viewers=("anna",), operators=("bob",))
     *rules, _ = bench["rules"]  # the last ones are of the bench's own machine
-    own, may = "golfbench/bench1/**", ["bench1 tells", "bench1 is asked", "wanted"]
+    own, may = "golfbench/bench1/**", ["bench1 publishes", "bench1 is asked", "wanted"]
     rules += [
         rule("wanted", "egress", ["declare_subscriber"], "golfbench/**"),  # from all benches is from each
-        rule("bench1 tells", "ingress", ["put", "declare_queryable", "reply"], own),
+        rule("bench1 publishes", "ingress", ["put", "declare_queryable", "reply"], own),
         rule("bench1 is asked", "egress", ["query"], own),
     ]
     subjects = [one for one in bench["subjects"] if one["id"] != "this machine"]
