@@ -11,11 +11,11 @@ from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, get_origin, get_type_hints
 
-from bench.base.field_docs import field_docs
+from bench.base.json_schema import field_docs
 from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_WORDS, Cause, Refusal
 from bench.commands.cli import EXIT_CODES, command_line
 from bench.config import Configuration, load_configuration, shipped_configuration
-from bench.config.defaults import keys_of, plain
+from bench.config.files import keys_of, plain
 from bench.config.text import _in_people_units, _Table, _tables, _written
 from bench.network.messages import wire_contract
 from drivers.base.ranges import Range

@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.address import free_port
 from bench.base.errors import Refused
 from bench.base.lifecycle import Phase, State
 from bench.config import Configuration, load_configuration
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer
 from bench.records.telemetry.ring import RingReader
+from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.ownership import bench_folder
-from bench.supervisor.plan import RING_FILE
 
 LONGEST_START = 300.0
 """s; the first start compiles."""
@@ -127,7 +127,7 @@ class BenchProcess:
     def take_address(self) -> BenchStatus:
         """Arm, and wait until the robot holds at its address."""
         self.client.arm()
-        return self.client.wait_for("ARMED", phase="HOLD")
+        return self.client.wait_until_armed()
 
     def swing(self, longest: float = 10.0) -> None:
         """Swing as soon as the robot rests at its address."""

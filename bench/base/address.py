@@ -101,6 +101,15 @@ def load_address(path: Path | None = None) -> BenchAddress:
     return address
 
 
+def free_port() -> int:
+    """Return a port of the loopback that is free now."""
+    import socket  # not for a stop
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
 def database_url(database: str, data_dir: Path) -> URL:
     """Return where the database is: the URL in `database`, or if that is empty SQLite's file in `data_dir`.
 

@@ -122,6 +122,13 @@ def _other_encoding(content: bytes) -> str | None:
     return "UTF-16, without a byte order mark" if begin and 3 * begin.count(0) >= len(begin) else None
 
 
+def encoding_of(content: bytes) -> str:
+    """Return the codec of an exported text: UTF-16 by its mark or its zero second byte, else UTF-8."""
+    if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return "utf-16"
+    return "utf-16-le" if content[1:2] == b"\0" else "utf-8-sig"
+
+
 def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], path: str = "") -> Tree:
     """Return `tables` of `file` without suffixes; a value written twice is a fault."""
     tree: Tree = {}

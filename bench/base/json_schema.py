@@ -7,20 +7,23 @@ fields of that class, and `Count` gives lengths.
 
 from __future__ import annotations
 
+import ast
 import inspect
 import json
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from datetime import datetime
 from enum import Enum, StrEnum
 from functools import cache, reduce
-from sys import float_info
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints
 
 from bench.base.errors import BenchError
-from bench.base.field_docs import field_docs
 from drivers.base.ranges import Count
 
 Schema = dict[str, Any]
@@ -38,7 +41,7 @@ _PLAIN: Mapping[Any, Schema] = {
 _IS: Mapping[str, Callable[[Any], bool]] = {
     "boolean": lambda value: isinstance(value, bool),
     "integer": lambda value: type(value) is int,
-    "number": lambda value: type(value) in (int, float) and abs(value) <= float_info.max,
+    "number": lambda value: type(value) in (int, float) and abs(value) <= sys.float_info.max,
     "string": lambda value: isinstance(value, str),
     "null": lambda value: value is None,
     "array": lambda value: isinstance(value, list),
@@ -120,6 +123,40 @@ def _one_of(parts: list[Schema]) -> Schema:
         if other.keys() == {"type"}:
             return {"type": [other["type"], "null"]}
     return {"anyOf": parts}
+
+
+def field_docs(kind: Any) -> dict[str, str]:
+    """Return the docstrings of the fields of class `kind` of a module, without those that it inherits."""
+    found = {}
+    for node, below in pairwise(_bodies(kind.__module__).get(kind.__name__, [])):
+        match node, below:
+            case (ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str() as text))):
+                found[name] = text
+    return found
+
+
+@cache
+def _bodies(module: str) -> dict[str, list[ast.stmt]]:
+    """Return the statements of each class of `module`, whose source is read once."""
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    return {node.name: node.body for node in tree.body if isinstance(node, ast.ClassDef)}
+
+
+def json_value(value: Any) -> Any:
+    """Return a nested `value` as JSON has it: numbers that are not finite as None, paths as texts."""
+    match value:
+        case dict():
+            return {key: json_value(item) for key, item in value.items()}
+        case tuple() if hasattr(value, "_asdict"):
+            return json_value(value._asdict())
+        case list() | tuple():
+            return [json_value(item) for item in value]
+        case float():
+            return value if isfinite(value) else None
+        case Path():
+            return str(value)
+        case _:
+            return value
 
 
 def json_object(payload: bytes) -> dict[str, Any] | None:

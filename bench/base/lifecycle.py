@@ -315,36 +315,44 @@ class Cause(IntEnum):
     WRIST_SPOOL = 89
 
 
+_JOINTS = (("shoulder", "R1"), ("right arm", "R2"), ("wrist", "R3"))
 _WORN_VALVE = "check valve and sensors; if nothing is broken, the valve is worn: see golfbench wear"
 _WORN_OR_SENSOR = (
     "check its sensor: vented, it shows the atmosphere in golfbench status; if it does, the valve is worn: "
     "see golfbench wear"
 )
-_VALVE_OR_FEEDBACK = "check valve, supply of its electronics and the feedback's cable"
+
+
+def _each_joint(first: Cause, fact: str, action: str = "") -> dict[Cause, Words]:
+    """Return the words of three causes from `first` on, of each {joint} with its {encoder}."""
+    return {
+        Cause(first + k): (fact.format(joint=joint, encoder=encoder), action.format(encoder=encoder))
+        for k, (joint, encoder) in enumerate(_JOINTS)
+    }
+
+
+def _each_chamber(first: Cause, fact: str, action: str) -> dict[Cause, Words]:
+    """Return the words of six causes from `first` on, of each {chamber}."""
+    chambers = (f"{joint} chamber {side}" for joint, _ in _JOINTS for side in "AB")
+    return {Cause(first + k): (fact.format(chamber=chamber), action) for k, chamber in enumerate(chambers)}
+
+
 CAUSE_WORDS: dict[Cause, Words] = {
     Cause.NONE: ("none", ""),
     Cause.EMERGENCY_STOP: ("emergency stop circuit open", "release it, then reset"),
     Cause.GUARD: ("guard open or not locked", "close it, then reset"),
     Cause.NOT_FINITE: ("a NaN or infinite value reached the envelope", "keep the record and report it"),
-    Cause.SHOULDER_ENCODER: ("shoulder encoder R1 without a valid reading", "check cable and supply"),
-    Cause.ARM_ENCODER: ("arm encoder R2 without a valid reading", "check cable and supply"),
-    Cause.WRIST_ENCODER: ("wrist encoder R3 without a valid reading", "check cable and supply"),
+    **_each_joint(
+        Cause.SHOULDER_ENCODER, "{joint} encoder {encoder} without a valid reading", "check cable and supply"
+    ),
     Cause.TICK_GAP: ("the loop paused for longer than a swing allows", "run `golfbench doctor`"),
     Cause.SUPPLY_PRESSURE: ("supply pressure outside the range for swings", "check compressor and regulator"),
-    Cause.SHOULDER_RANGE: ("shoulder angle outside its working range", ""),
-    Cause.ARM_RANGE: ("right-arm rod outside its working range", ""),
-    Cause.WRIST_RANGE: ("wrist angle outside its working range", ""),
-    Cause.SHOULDER_SPEED: ("shoulder faster than its limit", ""),
-    Cause.ARM_SPEED: ("arm faster than its limit", ""),
-    Cause.WRIST_SPEED: ("wrist faster than its limit", ""),
+    **_each_joint(Cause.SHOULDER_RANGE, "{joint} outside its working range"),
+    **_each_joint(Cause.SHOULDER_SPEED, "{joint} faster than its limit"),
     Cause.GROUND: ("club head too near to the ground", "check the club, reset, then home, which lifts it"),
     Cause.FRAME: ("club nearer to the frame than allowed", ""),
-    Cause.SHOULDER_FOLLOWING: ("shoulder too far from its reference", ""),
-    Cause.ARM_FOLLOWING: ("arm too far from its reference", ""),
-    Cause.WRIST_FOLLOWING: ("wrist too far from its reference", ""),
-    Cause.SHOULDER_STOP_DISTANCE: ("shoulder could no longer stop before its end stop", ""),
-    Cause.ARM_STOP_DISTANCE: ("right arm could no longer stop before its end stop", ""),
-    Cause.WRIST_STOP_DISTANCE: ("wrist could no longer stop before its end stop", ""),
+    **_each_joint(Cause.SHOULDER_FOLLOWING, "{joint} too far from its reference"),
+    **_each_joint(Cause.SHOULDER_STOP_DISTANCE, "{joint} could no longer stop before its end stop"),
     Cause.WRIST_LEVER: ("wrist folded so far that its cylinder has no lever", ""),
     Cause.OPERATOR_STOP: ("stopped by the operator", ""),
     Cause.EXCEPTION: ("internal fault of the cycle in this tick", "keep the record and report it"),
@@ -359,122 +367,68 @@ CAUSE_WORDS: dict[Cause, Words] = {
     ),
     Cause.NOT_VENTED: ("the chambers did not empty in time", "do not approach: check vents and valves"),
     Cause.DEVICE_PASSIVE: ("the device went passive after a time-out of its commands", "reset"),
-    Cause.SHOULDER_AIR: (
-        "shoulder's chamber pressures do not follow the valve command",
+    **_each_joint(
+        Cause.SHOULDER_AIR,
+        "{joint}'s chamber pressures do not follow the valve command",
         "check valve, supply and sensors",
     ),
-    Cause.ARM_AIR: (
-        "right arm's chamber pressures do not follow the valve command",
-        "check valve, supply and sensors",
+    **_each_joint(
+        Cause.SHOULDER_VELOCITY,
+        "{joint} velocity deviates from the model",
+        "check valve, supply and encoder {encoder}",
     ),
-    Cause.WRIST_AIR: (
-        "wrist's chamber pressures do not follow the valve command",
-        "check valve, supply and sensors",
-    ),
-    Cause.SHOULDER_VELOCITY: (
-        "shoulder velocity deviates from the model",
-        "check valve, supply and encoder R1",
-    ),
-    Cause.ARM_VELOCITY: ("arm velocity deviates from the model", "check valve, supply and encoder R2"),
-    Cause.WRIST_VELOCITY: ("wrist velocity deviates from the model", "check valve, supply and encoder R3"),
-    Cause.SHOULDER_JUMP: (
-        "encoder R1 (shoulder) reports an impossible jump",
+    **_each_joint(
+        Cause.SHOULDER_JUMP,
+        "encoder {encoder} ({joint}) reports an impossible jump",
         "check cable and mount",
     ),
-    Cause.ARM_JUMP: ("encoder R2 (arm) reports an impossible jump", "check cable and mount"),
-    Cause.WRIST_JUMP: ("encoder R3 (wrist) reports an impossible jump", "check cable and mount"),
-    Cause.SHOULDER_EFFORT: (
-        "shoulder's motion and chamber pressures disagree",
-        "check encoder R1, club, pressure sensors",
+    **_each_joint(
+        Cause.SHOULDER_EFFORT,
+        "{joint}'s motion and chamber pressures disagree",
+        "check encoder {encoder}, club, pressure sensors",
     ),
-    Cause.ARM_EFFORT: (
-        "arm's motion and chamber pressures disagree",
-        "check encoder R2, club, pressure sensors",
+    **_each_joint(Cause.SHOULDER_FLOW, "{joint} valve's flow deviates from its command", _WORN_VALVE),
+    **_each_joint(
+        Cause.SHOULDER_SENSOR, "one {joint} chamber alone deviates from the model", _WORN_OR_SENSOR
     ),
-    Cause.WRIST_EFFORT: (
-        "wrist's motion and chamber pressures disagree",
-        "check encoder R3, club, pressure sensors",
-    ),
-    Cause.SHOULDER_FLOW: ("shoulder valve's flow deviates from its command", _WORN_VALVE),
-    Cause.ARM_FLOW: ("right arm valve's flow deviates from its command", _WORN_VALVE),
-    Cause.WRIST_FLOW: ("wrist valve's flow deviates from its command", _WORN_VALVE),
-    Cause.SHOULDER_SENSOR: ("one shoulder chamber alone deviates from the model", _WORN_OR_SENSOR),
-    Cause.ARM_SENSOR: ("one right-arm chamber alone deviates from the model", _WORN_OR_SENSOR),
-    Cause.WRIST_SENSOR: ("one wrist chamber alone deviates from the model", _WORN_OR_SENSOR),
     Cause.MANIFOLD: ("the manifold holds pressure with the supply shut", "shut it off and vent it by hand"),
     Cause.SUPPLY_SENSOR: (
         "supply sensor without a plausible value",
         "check cable and sensor at the manifold",
     ),
-    Cause.SHOULDER_A_SENSOR: (
-        "sensor of shoulder chamber A without a plausible value",
-        "check cable and sensor",
+    **_each_chamber(
+        Cause.SHOULDER_A_SENSOR, "sensor of {chamber} without a plausible value", "check cable and sensor"
     ),
-    Cause.SHOULDER_B_SENSOR: (
-        "sensor of shoulder chamber B without a plausible value",
-        "check cable and sensor",
-    ),
-    Cause.ARM_A_SENSOR: ("sensor of arm chamber A without a plausible value", "check cable and sensor"),
-    Cause.ARM_B_SENSOR: ("sensor of arm chamber B without a plausible value", "check cable and sensor"),
-    Cause.WRIST_A_SENSOR: ("sensor of wrist chamber A without a plausible value", "check cable and sensor"),
-    Cause.WRIST_B_SENSOR: ("sensor of wrist chamber B without a plausible value", "check cable and sensor"),
     Cause.VENT_1: ("vent 1 does not follow its command", "check valve and position switch"),
     Cause.VENT_2: ("vent 2 does not follow its command", "check valve and position switch"),
-    Cause.SHOULDER_ZERO: (
-        "shoulder's end stop found at a different angle than encoder R1 reports",
-        "check its coupling and zero",
-    ),
-    Cause.ARM_ZERO: (
-        "right arm's end stop found at a different angle than encoder R2 reports",
-        "check its coupling and zero",
-    ),
-    Cause.WRIST_ZERO: (
-        "wrist's end stop found at a different angle than encoder R3 reports",
+    **_each_joint(
+        Cause.SHOULDER_ZERO,
+        "{joint}'s end stop found at a different angle than encoder {encoder} reports",
         "check its coupling and zero",
     ),
     Cause.GUARD_LOCK: ("guard reads locked while it is released or open", "check lock and switch"),
     Cause.SUPPLY_VALVE: ("the manifold empties too slowly", "check supply valve, dump valve and its sensor"),
     Cause.SUPPLY_DECAY: ("supply sensor shows less than the manifold can hold", "check cable and sensor"),
-    Cause.SHOULDER_INDEX: ("shoulder encoder R1 had lost counts at its index", "check its cable, home again"),
-    Cause.ARM_INDEX: ("arm encoder R2 had lost counts at its index", "check its cable, home again"),
-    Cause.WRIST_INDEX: ("wrist encoder R3 had lost counts at its index", "check its cable, home again"),
-    Cause.SHOULDER_A_AIR: (
-        "shoulder chamber A did not reach its planned pressure in time",
-        "check supply and leaks",
+    **_each_joint(
+        Cause.SHOULDER_INDEX,
+        "{joint} encoder {encoder} had lost counts at its index",
+        "check its cable, home again",
     ),
-    Cause.SHOULDER_B_AIR: (
-        "shoulder chamber B did not reach its planned pressure in time",
-        "check supply and leaks",
-    ),
-    Cause.ARM_A_AIR: ("arm chamber A did not reach its planned pressure in time", "check supply and leaks"),
-    Cause.ARM_B_AIR: ("arm chamber B did not reach its planned pressure in time", "check supply and leaks"),
-    Cause.WRIST_A_AIR: (
-        "wrist chamber A did not reach its planned pressure in time",
-        "check supply and leaks",
-    ),
-    Cause.WRIST_B_AIR: (
-        "wrist chamber B did not reach its planned pressure in time",
-        "check supply and leaks",
+    **_each_chamber(
+        Cause.SHOULDER_A_AIR, "{chamber} did not reach its planned pressure in time", "check supply and leaks"
     ),
     Cause.SHUT_OFF: ("shut-off valve does not follow its command", "check valve and position switch"),
-    Cause.SHOULDER_A_EXHAUST: (
-        "shoulder chamber A vents too slowly",
-        "check silencer, hose and sensor's zero",
+    **_each_chamber(
+        Cause.SHOULDER_A_EXHAUST, "{chamber} vents too slowly", "check silencer, hose and sensor's zero"
     ),
-    Cause.SHOULDER_B_EXHAUST: (
-        "shoulder chamber B vents too slowly",
-        "check silencer, hose and sensor's zero",
-    ),
-    Cause.ARM_A_EXHAUST: ("arm chamber A vents too slowly", "check silencer, hose and sensor's zero"),
-    Cause.ARM_B_EXHAUST: ("arm chamber B vents too slowly", "check silencer, hose and sensor's zero"),
-    Cause.WRIST_A_EXHAUST: ("wrist chamber A vents too slowly", "check silencer, hose and sensor's zero"),
-    Cause.WRIST_B_EXHAUST: ("wrist chamber B vents too slowly", "check silencer, hose and sensor's zero"),
     Cause.LEASE: ("disarmed, as the lease lapsed or was released", "take it, then arm"),
     Cause.ARMED_TIME: ("disarmed, as it was armed for longer than allowed", "arm again"),
     Cause.SUPPORT: ("disarmed, as recorder or publisher stopped", "wait until both run, then arm"),
-    Cause.SHOULDER_SPOOL: ("shoulder valve's spool deviates from its command", _VALVE_OR_FEEDBACK),
-    Cause.ARM_SPOOL: ("right arm valve's spool deviates from its command", _VALVE_OR_FEEDBACK),
-    Cause.WRIST_SPOOL: ("wrist valve's spool deviates from its command", _VALVE_OR_FEEDBACK),
+    **_each_joint(
+        Cause.SHOULDER_SPOOL,
+        "{joint} valve's spool deviates from its command",
+        "check valve, supply of its electronics and the feedback's cable",
+    ),
 }
 
 CAUSE_TEXT = {cause: in_one(words) for cause, words in CAUSE_WORDS.items()}
@@ -588,39 +542,12 @@ READINGS_VALID, READINGS_LOST, EMERGENCY, ACTUATOR_FAULT, WRIST_FAULT, CHAMBER_S
 """Columns of the stopping table: readings trusted, readings lost, emergency stop with readings trusted, a
 shoulder or arm that does not obey, a wrist that does not, one chamber alone that does not fit."""
 
-_STANDING = (Reaction.VENT,) * 6
-_SLOW = (
-    Reaction.BRAKE,
-    Reaction.BLIND_BRAKE,
-    Reaction.BRAKE,
-    Reaction.PASSIVE,
-    Reaction.PASSIVE,
-    Reaction.PASSIVE,
-)
-_STOPPABLE = (
-    Reaction.BRAKE,
-    Reaction.BLIND_BRAKE,
-    Reaction.BRAKE,
-    Reaction.PASSIVE,
-    Reaction.BRAKE,
-    Reaction.BRAKE,
-)
-_COMMITTED = (
-    Reaction.COMPLETE,
-    Reaction.BLIND_BRAKE,
-    Reaction.BRAKE,
-    Reaction.PASSIVE,
-    Reaction.BRAKE,
-    Reaction.BRAKE,
-)
-_BLOW = (
-    Reaction.COMPLETE,
-    Reaction.BLIND_BRAKE,
-    Reaction.COMPLETE,
-    Reaction.PASSIVE,
-    Reaction.COMPLETE,
-    Reaction.COMPLETE,
-)
+_R = Reaction
+_STANDING = (_R.VENT,) * 6
+_SLOW = (_R.BRAKE, _R.BLIND_BRAKE, _R.BRAKE, _R.PASSIVE, _R.PASSIVE, _R.PASSIVE)
+_STOPPABLE = (_R.BRAKE, _R.BLIND_BRAKE, _R.BRAKE, _R.PASSIVE, _R.BRAKE, _R.BRAKE)
+_COMMITTED = (_R.COMPLETE, _R.BLIND_BRAKE, _R.BRAKE, _R.PASSIVE, _R.BRAKE, _R.BRAKE)
+_BLOW = (_R.COMPLETE, _R.BLIND_BRAKE, _R.COMPLETE, _R.PASSIVE, _R.COMPLETE, _R.COMPLETE)
 
 STOP_REACTIONS: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reaction, Reaction]] = {
     Phase.STANDING: _STANDING,

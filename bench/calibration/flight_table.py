@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.base.text_encoding import encoding_of
+from bench.base.from_toml import encoding_of
 from bench.calibration.ball_aerodynamics import MeasuredFlight
 from drivers.base import Launch
 from sim.air import Air

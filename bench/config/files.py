@@ -3,20 +3,24 @@
 How files are found and merged: `bench.base.configuration_files`. Keys and units:
 `bench.base.from_toml`. Club and ball of the plant are those that `[swing]` names; an entry of `[clubs]` or
 `[balls]` that says `like = "driver"` gives only what differs from that one.
+Defaults are those of the settings' fields, their only source.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
+from typing import Any, get_type_hints
 
 from bench.base.configuration_files import PRINT, SHIPPED, find_configuration, read_layers, shown_path
 from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, TomlValue, Tree, errors_of, format_value, laid_over, location_of
-from bench.config.club_site import ClubSite
-from bench.config.defaults import DERIVED, default_tables, keys_of
 from bench.config.rules import RULES
-from bench.config.settings import Configuration
+from bench.config.settings import ClubSite, Configuration
+
+DERIVED = frozenset({"plant.tick", "plant.ball", "plant.robot.club", "files"})
+"""Fields that are derived from other keys, and are no keys themselves."""
 
 
 def load_configuration(path: Path | None = None) -> Configuration:
@@ -90,3 +94,48 @@ def _with_derived(c: Configuration, files: tuple[Path, ...]) -> Configuration:
     plant = c.plant if club is None else c.plant_of(c.swing.club, club)
     plant = replace(plant, tick=1.0 / c.loop.rate, ball=ball or c.plant.ball)
     return replace(c, plant=plant, files=files).with_driver(c.driver)
+
+
+def default_tables() -> dict[str, Any]:
+    """Return the values of all keys that have a default in the form of a file, in SI units and rad."""
+    return _defaults_of(Configuration, "")
+
+
+def tables_of(value: Any, path: str = "") -> dict[str, Any]:
+    """Return the values of a dataclass as in a file; `path` is its dotted key with a trailing dot."""
+    return {f: plain(getattr(value, f), f"{path}{f}") for f in keys_of(type(value), path)}
+
+
+def keys_of(kind: type[Any], path: str) -> Iterator[str]:
+    """Return the names of the fields of dataclass `kind` that are keys at `path`."""
+    return (f.name for f in fields(kind) if f.init and f"{path}{f.name}" not in DERIVED)
+
+
+def plain(value: Any, path: str) -> Any:
+    """Return a field's value as TOML has it."""
+    if is_dataclass(value):
+        return tables_of(value, f"{path}.")
+    if isinstance(value, dict):
+        # The name of an entry is its key.
+        return {key: _without_name(plain(item, f"{path}.{key}")) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [plain(item, path) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _without_name(item: Any) -> Any:
+    return {key: value for key, value in item.items() if key != "name"} if isinstance(item, dict) else item
+
+
+def _defaults_of(kind: type[Any], path: str) -> dict[str, Any]:
+    tables, hints = {}, get_type_hints(kind)
+    by_name = {f.name: f for f in fields(kind)}
+    for name in keys_of(kind, path):
+        field, hint = by_name[name], hints[name]
+        if field.default is not MISSING:
+            tables[name] = plain(field.default, f"{path}{name}")
+        elif field.default_factory is not MISSING:
+            tables[name] = plain(field.default_factory(), f"{path}{name}")
+        elif is_dataclass(hint):
+            tables[name] = _defaults_of(hint, f"{path}{name}.")  # type: ignore[arg-type]
+    return tables

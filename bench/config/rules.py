@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from dataclasses import replace
 from importlib.metadata import entry_points
 from math import asin, ceil, degrees, hypot, pi, radians
@@ -63,21 +63,9 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     if c.driver.name == "daq" and c.homing.method != "index":
         action = "The card's counters do not know the angle until the index has passed."
         yield "homing.method", format_value(c.homing.method), 'with driver "daq" "index"', action
-    phases = EnvelopeSettings().max_following_error.keys()
-    for name in phases ^ c.envelope.max_following_error.keys():
-        found = "nothing" if name in phases else "an unknown phase"
-        yield (
-            f"envelope.max_following_error.{name}",
-            found,
-            f"each of {', '.join(phases)} once",
-            "Correct the table.",
-        )
+    yield from _phases(c.envelope, EnvelopeSettings(), "envelope", "max_following_error", set())
     for kind in MODEL_PHASES:
-        watched = getattr(ModelSettings(), kind).keys() - OPTIONAL_ROWS
-        for name in (getattr(c.envelope.model, kind).keys() - OPTIONAL_ROWS) ^ watched:
-            found = "nothing" if name in watched else "an unknown phase"
-            expected = f"each of {', '.join(watched)} once"
-            yield f"envelope.model.{kind}.{name}", found, expected, "Correct the table."
+        yield from _phases(c.envelope.model, ModelSettings(), "envelope.model", kind, OPTIONAL_ROWS)
     for name in c.envelope.model.standard_errors:
         try:
             float(value_at(c.plant, name))
@@ -89,6 +77,14 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
                 "a key such as shoulder.area_a",
                 "Correct or delete it.",
             )
+
+
+def _phases(given: Any, default: Any, section: str, table: str, optional: Set[str]) -> Iterator[Mistake]:
+    """Yield the phases that `table` of `given` lacks, or that `default` does not know."""
+    wanted = getattr(default, table).keys() - optional
+    for name in (getattr(given, table).keys() - optional) ^ wanted:
+        found = "nothing" if name in wanted else "an unknown phase"
+        yield f"{section}.{table}.{name}", found, f"each of {', '.join(wanted)} once", "Correct the table."
 
 
 def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:

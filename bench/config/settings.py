@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import logging
 import re
-from dataclasses import asdict, dataclass, field, replace
-from math import isnan
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import pi, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from bench.base.address import BenchSettings, NetworkSettings
 from bench.base.errors import BenchError
 from bench.base.from_toml import format_value
-from bench.config.club_site import ClubSite
+from bench.base.json_schema import json_value
 from bench.control.made_for import LimitsFingerprint
 from bench.control.residual_thresholds import LimitsInUse, limits_in_use, limits_path
 from bench.control.settings import (
@@ -31,7 +31,7 @@ from sim.air import Air
 from sim.ball import Ball
 from sim.faults import Fault
 from sim.flight import Wind
-from sim.plant import PlantParameters
+from sim.plant import PlantParameters, Site
 from sim.robot import Club
 from sim.turf import Turf
 
@@ -87,6 +87,24 @@ class NotificationSettings:
 
     file: str = ""
     """File of the services' URLs, one a line, readable by its owner only; empty: no notifications."""
+
+
+@dataclass(frozen=True)
+class ClubSite(Site):
+    """A site that holds for one club, with the tilt of the robot's mount that it asks for."""
+
+    plane: Annotated[float, Range(radians(20.0), pi / 2, "rad")] = radians(53.0)
+    """Swing plane to the ground (rad), set at the robot's mount; gravity in the plane follows it."""
+
+    @classmethod
+    def of(cls, plant: PlantParameters) -> ClubSite:
+        """Return where `plant` stands."""
+        return cls(**{f.name: getattr(plant.site, f.name) for f in fields(Site)}, plane=plant.robot.lie)
+
+    def applied_to(self, plant: PlantParameters) -> PlantParameters:
+        """Return `plant` on this site, in this plane."""
+        site = Site(**{f.name: getattr(self, f.name) for f in fields(Site)})
+        return replace(plant, robot=replace(plant.robot, lie=self.plane), site=site)
 
 
 def _clubs() -> dict[str, Club]:
@@ -227,7 +245,7 @@ class Configuration:
     def effective(self) -> dict[str, Any]:
         """Return all values nested as in the file, SI and radians, for records and reports; no password."""
         shown_here = replace(self.bench, database=_PASSWORD.sub(r"\1***@", self.bench.database))
-        return {name: _plain(value) for name, value in asdict(replace(self, bench=shown_here)).items()}
+        return {name: json_value(value) for name, value in asdict(replace(self, bench=shown_here)).items()}
 
 
 def _choice(c: Configuration, section: str, name: str) -> Any:
@@ -238,17 +256,3 @@ def _choice(c: Configuration, section: str, name: str) -> Any:
     raise BenchError(
         f"{files}: {section}", f"no {format_value(name)}", f"one of {', '.join(entries)}", "Add or rename it."
     )
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case dict():
-            return {key: _plain(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_plain(item) for item in value]
-        case Path():
-            return str(value)
-        case float() if isnan(value):
-            return None
-        case _:
-            return value

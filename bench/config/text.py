@@ -10,10 +10,10 @@ from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
-from bench.base.field_docs import field_docs
 from bench.base.from_toml import expected, suffixes
+from bench.base.json_schema import field_docs
 from bench.base.to_toml import toml_value
-from bench.config.defaults import keys_of, plain
+from bench.config.files import keys_of, plain
 from bench.config.settings import Configuration
 from drivers.base.ranges import short
 from sim.parameter_sources import ORIGINS

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.base.text_encoding import encoding_of
+from bench.base.from_toml import encoding_of
 from bench.golfer.roles import Array, Capture, damaged, number
 
 _JITTER = 0.2

@@ -288,6 +288,11 @@ class Stepper(Protocol):
     """What runs ticks: this module's `Loop`, or the compiled `bench.simulation.lockstep.Lockstep`."""
 
     state: ControlState
+    parameters: ControlParameters
+
+    @property
+    def period(self) -> float:
+        """Tick, s."""
 
     def advance(self, ticks: int, request: int = 0) -> Cycles:
         """Run `ticks` ticks with `request` in the first; return their records."""
@@ -296,49 +301,41 @@ class Stepper(Protocol):
         """Send the passive command, outside of any tick."""
 
 
-class Loop:
-    """A cycle on a clock."""
+class Loop(Cycle):
+    """A cycle on a clock; `advance` keeps its records."""
 
-    def __init__(self, cycle: Cycle, clock: Clock) -> None:
-        self.cycle, self.clock = cycle, clock
-
-    @property
-    def state(self) -> ControlState:
-        """Memory of the step; another one may be set between two ticks."""
-        return self.cycle.state
-
-    @state.setter
-    def state(self, state: ControlState) -> None:
-        self.cycle.state = state
+    def __init__(
+        self,
+        driver: Driver,
+        parameters: ControlParameters,
+        clock: Clock,
+        *,
+        name: str,
+        note_truth: Publish | None = None,
+        state: State = State.READY,
+    ) -> None:
+        super().__init__(driver, parameters, lambda _: None, name=name, note_truth=note_truth, state=state)
+        self.clock = clock
 
     @property
     def period(self) -> float:
         """Tick, s."""
         return self.clock.period
 
-    @property
-    def parameters(self) -> ControlParameters:
-        """Parameters of the step; others may be set between two ticks."""
-        return self.cycle.parameters
-
-    @parameters.setter
-    def parameters(self, parameters: ControlParameters) -> None:
-        self.cycle.parameters = parameters
-
     def advance(self, ticks: int, request: int = 0) -> Cycles:
         """Run `ticks` ticks, `request` put at the first; return their records."""
         kept = CycleArray(ticks)
-        self.cycle.publish = kept
+        self.publish = kept
         if request:
-            self.cycle.request(request)
+            self.request(request)
         for _ in range(ticks):
-            self.cycle.run_tick(self.clock.wait())
+            self.run_tick(self.clock.wait())
         return kept.cycles
 
     def make_passive(self) -> None:
         """Send the passive command several times: a frame on a bus may be lost."""
         for _ in range(3):
-            self.cycle.driver.make_passive()
+            self.driver.make_passive()
 
 
 def bring_to_rest(stepper: Stepper, longest: int) -> list[Cycles]:

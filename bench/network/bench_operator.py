@@ -165,11 +165,9 @@ class BenchOperator:
             message = self._hear()
             if message is None or message["record"] is None or message["outcome"] is not None:
                 continue
-            path = Path(message["record"])
-            cycles, metadata = read_swing(path)
-            states = metadata.get("outcome", {}).get("states", [])
-            if any(name == "SWINGING" and at >= tick for at, name in states):
-                return SwingRecord(path, cycles, metadata)
+            if message["tick"] is not None and message["tick"] >= tick:
+                path = Path(message["record"])
+                return SwingRecord(path, *read_swing(path))
         raise self._no_shot(f"no record of it within {_STORED:g} s", swung=True)
 
     def begin_swing(self, prepare: Callable[[BenchStatus], bool], *, ball: bool) -> int:

@@ -6,10 +6,10 @@ The supervisor implements it; tests have their own. `golfbench status --json` pr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple, NotRequired, Protocol, TypedDict
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, NamedTuple, NotRequired, Protocol, TypedDict
 
-from bench.base.lifecycle import REFUSAL_WORDS, Block, Cause, Phase, Reaction, Refusal, Request, State, Words
+from bench.base.lifecycle import REFUSAL_WORDS, Block, Cause, Phase, Reaction, Refusal, Request, State
 from drivers.base.ranges import Count
 
 STATUS_VERSION = 1
@@ -26,23 +26,31 @@ class ArmingBlock(TypedDict):
     action: str
 
 
-class Reply(NamedTuple):
-    """The bench's answer to a request."""
+class CommandAnswer(NamedTuple):
+    """The bench's answer to a valid command."""
 
     accepted: bool
-    state: str
-    """Name of the `State` after the answer."""
-    refusal: Refusal = Refusal.NONE
-    words: Words = ("", "")
-    """Why it was refused, and the action; empty when accepted."""
-    blocks: Sequence[ArmingBlock] = ()
-    """Reasons that block arming, if it was refused for them."""
+    state: Annotated[str, State]
+    """State after the answer."""
+    refusal: Annotated[str, Refusal] = Refusal.NONE.name
+    """Why it was refused."""
+    cause: Annotated[str, Cause] = Cause.NONE.name
+    """Why the robot was stopped or disarmed before."""
+    reason: str = ""
+    """Why it was refused, for people; empty when accepted."""
+    action: str = ""
+    """Action after the refusal, for people."""
+    note: str = ""
+    """Further information for the operator."""
+    content: Mapping[str, Any] = {}
+    """`status` of status; `holder`, `seconds_left` and, for who took it, `key` of lease; the reasons that
+    block arming of `arm`."""
 
 
-def refused(state: str, refusal: Refusal, fact: str = "", action: str = "") -> Reply:
+def refused(state: str, refusal: Refusal, fact: str = "", action: str = "") -> CommandAnswer:
     """Return the refusal of a request, in its own words where `fact` or `action` say no more."""
     words = REFUSAL_WORDS[refusal]
-    return Reply(False, state, refusal, (fact or words[0], action or words[1]))
+    return CommandAnswer(False, state, refusal.name, reason=fact or words[0], action=action or words[1])
 
 
 class CauseStatus(TypedDict):
@@ -281,17 +289,17 @@ class BenchService(Protocol):
     def status(self) -> BenchStatus:
         """Return the snapshot; `lease` and `counts` are overwritten by the command plane."""
 
-    def request(self, request: Request) -> Reply:
-        """Put `request` to the loop and wait, 0.2 s at most, for its answer."""
+    def request(self, request: Request) -> CommandAnswer:
+        """Put `request` to the loop and wait, 0.2 s at most, for its answer; the cause is added."""
 
-    def correct(self, profile: str, weights: Sequence[float]) -> Reply:
+    def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Swing with the correction `weights` of the profile with the digest `profile` from now on.
 
         Without weights: as designed. Refused unless the robot is at rest.
         """
 
-    def stop(self) -> Reply:
-        """Stop as the stopping table says; never waits behind a request."""
+    def stop(self, request: Request) -> CommandAnswer:
+        """Stop as the stopping table says, or with EMERGENCY_STOP as for an open emergency stop circuit.
 
-    def emergency_stop(self) -> Reply:
-        """Stop as for an open emergency stop circuit; never waits behind a request."""
+        Never waits behind a request.
+        """

@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import zenoh
 
@@ -24,11 +24,10 @@ from bench.base.errors import BenchError, Refused
 from bench.base.json_schema import json_object
 from bench.base.lifecycle import ACCEPTED_IN, PASSING, Refusal, State
 from bench.network import status_words
-from bench.network.bench_service import STATUS_VERSION, BenchStatus
+from bench.network.bench_service import STATUS_VERSION, BenchStatus, CommandAnswer
 from bench.network.command import (
     REQUESTS,
     STOPS,
-    CommandAnswer,
     Verb,
     encode_command,
     parse_answer,
@@ -80,7 +79,8 @@ class CommandRefused(Refused):
     """A request refused by the bench, with its `answer`."""
 
     def __init__(self, bench: str, verb: Verb, answer: CommandAnswer) -> None:
-        blocks = answer.content.get("arming_blocks", ())
+        self.verb, self.answer = verb, answer
+        location, blocks = f"{verb} of bench {bench}", answer.content.get("arming_blocks", ())
         if blocks:
             found, expected, actions = (
                 dict.fromkeys(parts)
@@ -89,22 +89,18 @@ class CommandRefused(Refused):
                     strict=True,
                 )
             )
-            super().__init__(
-                f"{verb} of bench {bench}", "; ".join(found), "; ".join(expected), " ".join(actions)
-            )
-            self.verb, self.answer = verb, answer
+            super().__init__(location, "; ".join(found), "; ".join(expected), " ".join(actions))
             return
         states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
         wrong_state = answer.refusal == Refusal.STATE.name
         command = f"Next: {status_words.COMMANDS[State[answer.state]]}."
         action = status_words.sentence(answer.action.removesuffix("."))
         super().__init__(
-            f"{verb} of bench {bench}",
+            location,
             f"refused in state {answer.state}: {answer.reason}",
             f"state {' or '.join(states)}" if wrong_state else "no blocking condition",
             " ".join(filter(None, (action, command if wrong_state else ""))) or "Look at golfbench status.",
         )
-        self.verb, self.answer = verb, answer
 
     @property
     def refusal(self) -> Refusal:
@@ -129,13 +125,6 @@ class HeldLease:
     """Duration of the lease from each take or renewal, s."""
     sequence: int = 0
     """Sequence number of the newest command sent with it."""
-
-
-class ReceivedState(NamedTuple):
-    """A state published by the bench, and its time of arrival (s, time.monotonic)."""
-
-    status: BenchStatus
-    at: float
 
 
 class BenchClient:
@@ -184,18 +173,18 @@ class BenchClient:
         """Return the state of the bench."""
         return checked_status(self._ask(Verb.STATUS).content)
 
-    def states(self, timeout: float) -> Generator[ReceivedState | None, None, None]:
+    def states(self, timeout: float) -> Generator[BenchStatus | None, None, None]:
         """Yield each state that the bench publishes, and None whenever `timeout` s pass without one."""
         newest: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
         subscriber = self._session.declare_subscriber(f"{self._root}/state", newest)
         try:
             due = time.monotonic() + timeout
             while True:
-                sample, now = subscriber.try_recv(), time.monotonic()
+                sample = subscriber.try_recv()
                 if sample is not None:
                     payload = sample.payload.to_bytes()
-                    yield ReceivedState(checked_status(json_object(payload) or payload[:40]), now)
-                elif now >= due:
+                    yield checked_status(json_object(payload) or payload[:40])
+                elif time.monotonic() >= due:
                     yield None
                 else:
                     time.sleep(0.01)
@@ -266,22 +255,19 @@ class BenchClient:
             found.append(message)
         return found
 
-    def wait_for(
-        self, state: str, *, phase: str | None = None, timeout: float = 30.0, watch: Watch | None = None
-    ) -> BenchStatus:
-        """Wait up to `timeout` s for `state`, and for `phase` in it where given; return the status.
+    def wait_for(self, state: str, *, timeout: float = 30.0, watch: Watch | None = None) -> BenchStatus:
+        """Wait up to `timeout` s for `state`; return the status.
 
         `watch` gets every status on the way.
 
         Raises:
             Refused: ESTOP or FAULT instead, or time-out.
         """
-        wanted = state if phase is None else f"{state} in phase {phase}"
 
-        def reached(status: BenchStatus) -> bool:
-            return status["state"] == state and phase in (None, status["phase"])
+        def on_the_way(status: BenchStatus) -> bool:
+            return status["state"] not in LATCHED
 
-        return self._wait(reached, wanted, lambda status: status["state"] not in LATCHED, timeout, watch)
+        return self._wait(lambda status: status["state"] == state, state, on_the_way, timeout, watch)
 
     def wait_until_armed(self, *, timeout: float = 60.0, watch: Watch | None = None) -> BenchStatus:
         """Wait up to `timeout` s until the robot rests at its address, ready to swing; return the status.
@@ -337,8 +323,7 @@ class BenchClient:
                     raise Refused(f"bench {self.bench} after {timeout:g} s", found, wanted, action)
                 heard = next(states)
                 # One with an older tick was under way before, or the bench has restarted.
-                newer = heard is not None and heard.status["tick"] >= status["tick"]
-                status = heard.status if heard is not None and newer else self.status()
+                status = heard if heard is not None and heard["tick"] >= status["tick"] else self.status()
         return status
 
     # The lease -----------------------------------------------------------------------------------

@@ -11,12 +11,12 @@ import json
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from math import isfinite
-from typing import Annotated, Any, NamedTuple, NoReturn, NotRequired, TypedDict
+from typing import Any, NamedTuple, NoReturn, NotRequired, TypedDict
 
 from bench.base.errors import BenchError
 from bench.base.json_schema import json_object, misfits, shown
 from bench.base.lifecycle import Cause, Refusal, Request, State
-from bench.network.bench_service import ArmingBlock
+from bench.network.bench_service import ArmingBlock, CommandAnswer
 from bench.network.lease import DEFAULT_SECONDS, MAX_HOLDER_LENGTH, MAX_SECONDS, MIN_SECONDS, is_holder
 from bench.swing.correction_terms import MAX_WEIGHT, MAX_WEIGHTS
 
@@ -53,63 +53,32 @@ class Verb(StrEnum):
     CORRECT = "correct"
 
 
-class Plain(NamedTuple):
-    """Status, disarm, stop or emergency stop: needs no lease."""
+class ParsedCommand(NamedTuple):
+    """A valid command; the values that its form does not have are not used."""
 
-    verb: Verb
-
-
-class Keyed(NamedTuple):
-    """A request that needs the lease."""
-
-    verb: Verb
-    key: str
-    sequence: int
-
-
-class Correct(NamedTuple):
-    """Set or clear the learned correction of the coming swings; needs the lease."""
-
-    key: str
-    sequence: int
-    profile: str
-    """Digest of the profile that it was learned for."""
-    weights: tuple[float, ...]
-
-
-class TakeLease(NamedTuple):
-    """Take the lease."""
-
-    holder: str
+    form: str
+    """One of FORMS: the verb, and for the lease its action."""
+    key: str = ""
+    """Key of the lease."""
+    sequence: int = 0
+    holder: str = ""
+    """Name of the one who takes the lease."""
     seconds: float = DEFAULT_SECONDS
+    """Duration of the lease from now, s."""
+    profile: str = ""
+    """Digest of the profile that a correction was learned for."""
+    weights: tuple[float, ...] = ()
+    """Weights of the correction; empty: as designed."""
 
+    @property
+    def verb(self) -> Verb:
+        """Its verb."""
+        return Verb(self.form.partition(" ")[0])
 
-class RenewLease(NamedTuple):
-    """Renew the lease."""
-
-    key: str
-    sequence: int
-    seconds: float = DEFAULT_SECONDS
-
-
-class ReleaseLease(NamedTuple):
-    """Release the lease."""
-
-    key: str
-    sequence: int
-
-
-Command = Plain | Keyed | Correct | TakeLease | RenewLease | ReleaseLease
 
 REQUESTS: Mapping[Verb, Request] = {
-    Verb.HOME: Request.HOME,
-    Verb.ARM: Request.ARM,
-    Verb.DISARM: Request.DISARM,
-    Verb.ACCESS: Request.ACCESS,
-    Verb.SECURE: Request.SECURE,
-    Verb.SWING: Request.SWING,
-    Verb.TEE: Request.TEE,
-    Verb.RESET: Request.RESET,
+    verb: Request[verb.name]
+    for verb in map(Verb, ("home", "arm", "disarm", "access", "secure", "swing", "tee", "reset"))
 }
 """Verbs that become requests to the loop, one at a time. Stop and emergency stop bypass them."""
 
@@ -167,23 +136,15 @@ _VALUES: Mapping[str, _Value] = {
     ),
 }
 
-_KINDS: Mapping[str, type[Command]] = {
-    **{verb.value: Plain for verb in Verb if verb in PLAIN},
-    **{verb.value: Keyed for verb in REQUESTS if verb not in PLAIN},
-    "correct": Correct,
-    "lease take": TakeLease,
-    "lease renew": RenewLease,
-    "lease release": ReleaseLease,
+_KEYED = ("key", "sequence")
+FORMS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    **{verb.value: (("version",), ()) for verb in Verb if verb in PLAIN},
+    **{verb.value: (("version", *_KEYED), ()) for verb in REQUESTS if verb not in PLAIN},
+    "correct": (("version", *_KEYED, "profile", "weights"), ()),
+    "lease take": (("version", "action", "holder"), ("seconds",)),
+    "lease renew": (("version", "action", *_KEYED), ("seconds",)),
+    "lease release": (("version", "action", *_KEYED), ()),
 }
-"""Kind of a message by verb; for the lease by verb and action."""
-
-
-def _keys(form: str, kind: type[Command]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    names = [name for name in kind._fields if name != "verb" and name not in kind._field_defaults]
-    return ("version", *["action"] * (" " in form), *names), tuple(kind._field_defaults)
-
-
-FORMS = {form: _keys(form, kind) for form, kind in _KINDS.items()}
 """Keys that a message must have and those it may have, by form."""
 
 
@@ -200,7 +161,7 @@ def form_schema(form: str) -> dict[str, Any]:
     }
 
 
-def parse_command(verb: str, payload: bytes) -> Command:
+def parse_command(verb: str, payload: bytes) -> ParsedCommand:
     """Return the command that came as `payload` at `verb`.
 
     Raises:
@@ -226,8 +187,7 @@ def parse_command(verb: str, payload: bytes) -> Command:
     values = {name: value for name, value in message.items() if name not in ("version", "action")}
     if "weights" in values:
         values["weights"] = tuple(map(float, values["weights"]))
-    kind: Callable[..., Command] = _KINDS[form]
-    return kind(**values, **({"verb": Verb(verb)} if verb in (*PLAIN, *REQUESTS) else {}))
+    return ParsedCommand(form, **values)
 
 
 def encode_command(verb: Verb, **values: Any) -> bytes:
@@ -327,27 +287,6 @@ class ErrorParts(TypedDict):
     found: str
     expected: str
     action: str
-
-
-class CommandAnswer(NamedTuple):
-    """The bench's answer to a valid command."""
-
-    accepted: bool
-    state: Annotated[str, State]
-    """State after the answer."""
-    refusal: Annotated[str, Refusal] = Refusal.NONE.name
-    """Why it was refused."""
-    cause: Annotated[str, Cause] = Cause.NONE.name
-    """Why the robot was stopped or disarmed before."""
-    reason: str = ""
-    """Why it was refused, for people; empty when accepted."""
-    action: str = ""
-    """Action after the refusal, for people."""
-    note: str = ""
-    """Further information for the operator."""
-    content: Mapping[str, Any] = {}
-    """`status` of status; `holder`, `seconds_left` and, for who took it, `key` of lease; the reasons that
-    block arming of `arm`."""
 
 
 def encode_answer(answer: CommandAnswer) -> bytes:

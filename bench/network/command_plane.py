@@ -13,30 +13,32 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from threading import Condition, Lock, Thread
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import zenoh
 
 from bench.base.errors import BenchError
-from bench.base.lifecycle import REFUSAL_WORDS, Cause, Refusal, State, Words
+from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.control.requests import STOP_LOCKOUT_TIME
-from bench.network.bench_service import BenchService, BenchStatus, CountStatus, LeaseStatus, Reply
+from bench.network.bench_service import (
+    BenchService,
+    BenchStatus,
+    CommandAnswer,
+    CountStatus,
+    LeaseStatus,
+    refused,
+)
 from bench.network.command import (
     CONVENIENCE,
     MAX_COMMAND_BYTES,
+    PLAIN,
     REQUESTS,
     STOPS,
     VERSION,
-    Command,
-    CommandAnswer,
-    Correct,
-    Keyed,
     LeaseContent,
-    Plain,
-    ReleaseLease,
-    RenewLease,
-    TakeLease,
+    ParsedCommand,
     Verb,
     encode_answer,
     encode_error,
@@ -186,12 +188,6 @@ class CommandPlane:
             f"{self._root}/schema", zenoh.handlers.Callback(self._send_contract, indirect=False)
         )
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> bool:
         """Close within 2 s: waiting requests are refused, stops are carried out; False if the desk hangs."""
         self._closing = True
@@ -296,10 +292,10 @@ class CommandPlane:
     def _do_stops(self, messages: list[Message], verbs: frozenset[str]) -> None:
         """Stop once for all waiting requests, then answer each."""
         replies: dict[str, CommandAnswer] = {}
-        for verb, stop in ((Verb.ESTOP, self._service.emergency_stop), (Verb.STOP, self._service.stop)):
+        stops = (Verb.ESTOP, Request.EMERGENCY_STOP, CONVENIENCE), (Verb.STOP, Request.STOP, "")
+        for verb, request, note in stops:
             if verb in verbs:
-                note = CONVENIENCE if verb is Verb.ESTOP else ""
-                replies[verb] = self._asked(stop)._replace(note=note)
+                replies[verb] = self._asked(partial(self._service.stop, request))._replace(note=note)
         for message in messages:
             try:
                 parse_command(message.verb, message.payload)
@@ -332,41 +328,38 @@ class CommandPlane:
             return
         try:
             answer = self._obey(command)
-        except LeaseRefused as refused:
-            answer = self._answer_of(Reply(False, "", refused.refusal, refused.words))
+        except LeaseRefused as error:
+            answer = self._answer_of(refused("", error.refusal, *error.words))
         except Exception as error:  # the desk may fail in any way; who asked gets an answer all the same
             answer = self._failed(error)
         self._answer(query, verb, answer)
 
-    def _obey(self, command: Command) -> CommandAnswer:
-        match command:
-            case TakeLease(holder, seconds):
+    def _obey(self, command: ParsedCommand) -> CommandAnswer:
+        verb, key, sequence = command.verb, command.key, command.sequence
+        match command.form:
+            case "lease take":
                 with self._book_lock:
-                    lease = self._book.take(holder, seconds, self._clock())
+                    lease = self._book.take(command.holder, command.seconds, self._clock())
                 return self._of_lease(lease, key=lease.key)
-            case RenewLease(key, sequence, seconds):
+            case "lease renew":
                 with self._book_lock:
-                    lease = self._book.renew(key, sequence, seconds, self._clock())
+                    lease = self._book.renew(key, sequence, command.seconds, self._clock())
                 return self._of_lease(lease)
-            case ReleaseLease(key, sequence):
+            case "lease release":
                 with self._book_lock:
                     self._book.release(key, sequence, self._clock())
-                return self._answer_of(Reply(True, ""))
-            case Keyed(verb, key, sequence):
-                with self._book_lock:
-                    self._book.use(key, sequence, self._clock())
-                return self._asked(lambda: self._service.request(REQUESTS[verb]))
-            case Correct(key, sequence, profile, weights):
-                with self._book_lock:
-                    self._book.use(key, sequence, self._clock())
-                return self._asked(lambda: self._service.correct(profile, weights))
-            case Plain(Verb.STATUS):
+                return self._answer_of(CommandAnswer(True, ""))
+            case Verb.STATUS:
                 status = self._completed(self._service.status())
                 return CommandAnswer(True, status["state"], content=dict(status))
-            case Plain(verb):
-                return self._asked(lambda: self._service.request(REQUESTS[verb]))
+        if verb not in PLAIN:
+            with self._book_lock:
+                self._book.use(key, sequence, self._clock())
+        if verb is Verb.CORRECT:
+            return self._asked(lambda: self._service.correct(command.profile, command.weights))
+        return self._asked(lambda: self._service.request(REQUESTS[verb]))
 
-    def _asked(self, ask: Callable[[], Reply]) -> CommandAnswer:
+    def _asked(self, ask: Callable[[], CommandAnswer]) -> CommandAnswer:
         """Return the desk's reply to `ask`; an exception counts as refused."""
         try:
             return self._answer_of(ask())
@@ -375,29 +368,22 @@ class CommandPlane:
 
     def _failed(self, error: Exception) -> CommandAnswer:
         fact = f"the bench could not do it, {type(error).__name__}: {error}"
-        return _refusal(self._last_state, Refusal.FAILED, (fact, REFUSAL_WORDS[Refusal.FAILED][1]))
+        return refused(self._last_state, Refusal.FAILED, fact)
 
     def _of_lease(self, lease: Lease, **more: str) -> CommandAnswer:
         content = LeaseContent(holder=lease.holder, seconds_left=lease.expiry - self._clock())
-        return self._answer_of(Reply(True, ""))._replace(content={**content, **more})
+        return self._answer_of(CommandAnswer(True, ""))._replace(content={**content, **more})
 
-    def _answer_of(self, reply: Reply) -> CommandAnswer:
-        """Return `reply` with state, cause and, if refused for its state, the next step."""
+    def _answer_of(self, answer: CommandAnswer) -> CommandAnswer:
+        """Return `answer` with state, cause and, if refused for its state, the next step."""
         try:
             status = self._service.status()
         except Exception:  # see _do
-            state = reply.state or self._last_state
-            return CommandAnswer(True, state) if reply.accepted else _refusal(state, *reply[2:4])
-        state, cause = reply.state or status["state"], status["cause"]
-        if reply.accepted:
-            answer = CommandAnswer(True, state)
-        else:
-            answer = _refusal(state, reply.refusal, reply.words)
-            if reply.refusal is Refusal.STATE:
-                answer = answer._replace(action=next_step({**status, "state": state}))
-            if reply.blocks:
-                answer = answer._replace(content={"arming_blocks": list(reply.blocks)})
-        return answer._replace(cause=Cause.NONE.name if cause is None else cause["name"])
+            return answer._replace(state=answer.state or self._last_state)
+        state, cause = answer.state or status["state"], status["cause"]
+        if answer.refusal == Refusal.STATE.name:
+            answer = answer._replace(action=next_step({**status, "state": state}))
+        return answer._replace(state=state, cause=Cause.NONE.name if cause is None else cause["name"])
 
     def _completed(self, status: BenchStatus) -> BenchStatus:
         """Return `status` with lease and counts."""
@@ -407,7 +393,7 @@ class CommandPlane:
     # Answering -----------------------------------------------------------------------------------
 
     def _refuse(self, query: zenoh.Query, verb: str, refusal: Refusal) -> None:
-        self._answer(query, verb, _refusal(self._last_state, refusal, REFUSAL_WORDS[refusal]))
+        self._answer(query, verb, refused(self._last_state, refusal))
 
     def _answer(self, query: zenoh.Query, verb: str, answer: CommandAnswer) -> None:
         try:
@@ -434,7 +420,3 @@ class CommandPlane:
         except zenoh.ZError:
             with self._count_lock:
                 self._counts.subtract({kind: 1, "dropped": -1})
-
-
-def _refusal(state: str, refusal: Refusal, words: Words) -> CommandAnswer:
-    return CommandAnswer(False, state, refusal.name, reason=words[0], action=words[1])

@@ -5,7 +5,6 @@ A restart of the daemon begins a new book and so voids every lease.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from bench.base.lifecycle import REFUSAL_WORDS, Refusal, Words, in_one
@@ -69,8 +68,7 @@ def is_duration(seconds: float) -> bool:
 class LeaseBook:
     """The one lease of a bench. `now` is s on a clock that never goes back."""
 
-    def __init__(self, make_key: Callable[[], str] = new_key) -> None:
-        self._make_key = make_key
+    def __init__(self) -> None:
         self._lease: Lease | None = None
         self._given = 0
 
@@ -92,7 +90,7 @@ class LeaseBook:
         if lease := self.held(now):
             raise LeaseRefused(Refusal.HELD, _held_by(lease, now))
         self._given += 1
-        self._lease = Lease(holder, self._make_key(), now + seconds, self._given, seconds)
+        self._lease = Lease(holder, new_key(), now + seconds, self._given, seconds)
         return self._lease
 
     def use(self, key: str, sequence: int, now: float) -> Lease:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
 from bench.base.json_schema import Schema, names_of, schema_of
 from bench.base.lifecycle import ACCEPTED_IN, Cause, Phase, Reaction, State
-from bench.network.bench_service import STATUS_VERSION, BenchStatus
+from bench.network.bench_service import STATUS_VERSION, BenchStatus, CommandAnswer
 from bench.network.command import (
     FORMS,
     LAST_SEQUENCE,
@@ -21,7 +21,6 @@ from bench.network.command import (
     REQUESTS,
     VERSION,
     ArmContent,
-    CommandAnswer,
     ErrorParts,
     LeaseContent,
     Verb,
@@ -296,8 +295,7 @@ def _published(root: str) -> list[dict[str, Any]]:
 
 def _command(root: str, form: str) -> dict[str, Any]:
     """Return key, request and answer of a form of a command."""
-    name = form.partition(" ")[0]
-    verb = Verb(name)
+    verb = Verb(form.partition(" ")[0])
     content: Schema = {"type": "object"}
     if verb is Verb.STATUS:
         content = _message(schema_of(BenchStatus), STATUS_VERSION)

@@ -201,14 +201,10 @@ _MESSAGES = (
 )
 
 
-def access_control(
-    viewers: Collection[str], operators: Collection[str], benches: Collection[str] = ()
-) -> dict[str, Any]:
-    """Return zenoh's `access_control` for a bench, or with `benches` for a router between them and clients.
+def access_control(viewers: Collection[str], operators: Collection[str]) -> dict[str, Any]:
+    """Return zenoh's `access_control` for a bench; `viewers`, `operators`: common names of certificates.
 
-    `viewers` and `operators` are common names of certificates; so are `benches`, and each of them speaks for
-    the bench of that name and no other. A bench takes a router it connects to for an operator; to a router
-    everybody comes by TLS, a bench of the same machine too.
+    A bench takes a router it connects to for an operator. That of the router is `router.json5`.
     """
     reads = _allow("reads", "ingress", "declare_subscriber", _ALL), _allow("hears", "egress", "put", _ALL)
     rules = [
@@ -222,27 +218,18 @@ def access_control(
         _allow("campaign offered", "egress", ("query", "declare_queryable"), _CAMPAIGNS),
         # A client asks even if no one answers; a router passes on the commands that it knows of.
         _allow("command offered", "egress", "declare_queryable", _COMMANDS),
+        _allow("anything", "both", _MESSAGES, "**"),
     ]
-    policies = [_policy("anybody", ["stop", "stop answered"], link_protocols=["tls"])]
-    if benches:  # who listens to all benches listens to each
-        rules.append(_allow("wanted", "egress", "declare_subscriber", _ALL))
-    else:
-        rules.append(_allow("anything", "both", _MESSAGES, "**"))
-        policies.append(_policy("this machine", ["anything"], link_protocols=["tcp"]))
+    policies = [
+        _policy("anybody", ["stop", "stop answered"], link_protocols=["tls"]),
+        _policy("this machine", ["anything"], link_protocols=["tcp"]),
+    ]
     if viewers:
         may = [*_READS, "status", "status answered"]
         policies.append(_policy("viewers", may, cert_common_names=sorted(viewers)))
     if operators:
         may = [*_READS, "command", "command answered", "command offered", "campaign told"]
         policies.append(_policy("operators", may, cert_common_names=sorted(operators)))
-    for name in sorted(benches):
-        own = f"golfbench/{name}/**"
-        rules += [
-            _allow(f"{name} tells", "ingress", ("put", "declare_queryable", "reply"), own),
-            _allow(f"{name} is asked", "egress", "query", own),
-        ]
-        may = [f"{name} tells", f"{name} is asked", "wanted"]
-        policies.append(_policy(name, may, cert_common_names=[name]))
     return {
         "enabled": True,
         "default_permission": "deny",

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
-from importlib.metadata import version
 from typing import Any
 
 from numpy.typing import NDArray
@@ -24,7 +22,7 @@ from bench.loop.loop import Cycles
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
-from bench.records.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry
+from bench.records.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry, versions
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
@@ -121,12 +119,11 @@ class SimulatedBench:
     def metadata(self, swing: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the metadata of a record: configuration, versions, seed, profile, and `swing`."""
         settings = ("plant", "control", "envelope", "estimator", "surroundings")
-        names = ("golfbench", "numpy", "numba", "scipy")
         return {
             "configuration": {name: asdict(getattr(self, name)) for name in settings}
             | {"lifecycle": asdict(SIMULATED), "homing": asdict(HomingSettings())}
             | {"hold": self.hold},
-            "versions": {name: version(name) for name in names} | {"python": platform.python_version()},
+            "versions": versions(),
             "seed": self.plant.seed,
             "profile": profile_entry(self.profile),
             **(swing or {}),

@@ -6,7 +6,7 @@ The bench is a simulated one (`bench.simulation.engine`), or the cycle around th
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,7 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Refusal, Request
 from bench.control.monitor.pressure_monitor import chambers_show_pressure
 from bench.control.states import near_address
-from bench.control.step_records import ControlParameters, ControlState
-from bench.loop.loop import Cycles, bring_to_rest
+from bench.loop.loop import Cycles, Stepper, bring_to_rest
 from bench.records.telemetry.cycle_record import CYCLE
 
 ARMING_TIMEOUT = 30.0
@@ -29,24 +28,7 @@ STANDSTILL_TIMEOUT = 6.0
 """Max time from a stop to standstill (s)."""
 
 
-class OperatedStepper(Protocol):
-    """Controller with its plant, run tick by tick."""
-
-    state: ControlState
-    parameters: ControlParameters
-
-    @property
-    def period(self) -> float:
-        """Tick, s."""
-
-    def advance(self, ticks: int, request: int = 0) -> Cycles:
-        """Run `ticks` ticks with `request` in the first; return their records."""
-
-    def make_passive(self) -> None:
-        """Send the passive command, outside of any tick."""
-
-
-AnyStepper = TypeVar("AnyStepper", bound=OperatedStepper)
+AnyStepper = TypeVar("AnyStepper", bound=Stepper)
 
 
 def never() -> bool:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
-from bench.supervisor.child_process import FOR_PARENT, HEARTBEAT, Condition
+from bench.supervisor.child_process import FOR_PARENT, HEARTBEAT, Condition, heartbeat_file
 from drivers.base.compile_report import report_compilation
 from drivers.base.shared_record import SharedRecord
 
@@ -207,17 +207,17 @@ class ManagedProcess:
     def __init__(
         self,
         name: str,
-        heartbeat: Path,
+        folder: Path,
         start: Callable[[], Child],
         listener: Callable[[dict[str, Any]], None] = lambda _: None,
     ) -> None:
-        """Create the `heartbeat` file; `start` starts the process; `listener` gets its other events.
+        """Create its heartbeat's file in the bench's `folder`; `start` starts it, `listener` gets its events.
 
         Raises:
             SharedMemoryError: the file cannot be created.
         """
         self.name, self._start, self._listener = name, start, listener
-        self._shared = SharedRecord.create(heartbeat, HEARTBEAT)
+        self._shared = SharedRecord.create(heartbeat_file(folder, name), HEARTBEAT)
         self._beat = np.zeros(1, HEARTBEAT)
         self._heartbeat = LastHeartbeat(Condition.STARTING, -1, -np.inf)
         self.child: Child | None = None

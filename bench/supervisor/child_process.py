@@ -11,22 +11,80 @@ import pickle
 import signal
 import sys
 from contextlib import suppress
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.base.interrupt import HANGUP
+from bench.base.lifecycle import Cause
 from drivers.base import DriverError
 from drivers.base.compile_report import announce_compilation
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 
+if TYPE_CHECKING:  # each process loads only what it needs
+    from bench.config import Configuration
+    from bench.records.shot.recorded_shot import FlightConditions
+    from bench.records.telemetry.encoder_preset import CalibratedShifts
+    from bench.swing.correction import Basis
+    from bench.swing.profile import Profile
+    from drivers.launch_monitor.settings import LaunchMonitorSettings
+    from sim.plant import PlantParameters
+
 FOR_PARENT = (signal.SIGINT, signal.SIGABRT, *HANGUP)
 """Signals sent to the whole process group and handled by the parent: SIGINT from a terminal or systemd's
 stop, SIGABRT from systemd's watchdog, a closed terminal. A child starts with them blocked."""
+
+
+@dataclass(frozen=True)
+class LoopPlan:
+    """Parameters of the loop process."""
+
+    configuration: Configuration
+    """Configuration with the calibration applied."""
+    profile: Profile
+    basis: Basis
+    """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
+    folder: Path
+    """Shared-memory folder of the bench."""
+    lock: int
+    """Inherited descriptor of its locked file."""
+    first_cause: Cause = Cause.POWER_UP
+    """Cause of the initial ESTOP."""
+    read_only: bool = False
+    """Whether only the passive command is sent."""
+    calibrated: CalibratedShifts | None = None
+    """Zero shifts that the encoders reported at their calibration; None if not calibrated."""
+
+
+@dataclass(frozen=True)
+class LaunchMonitorPlan:
+    """Parameters of the launch monitor process."""
+
+    run: str
+    """Id of the bench's run."""
+    folder: Path
+    """Shared-memory folder of the bench."""
+    settings: LaunchMonitorSettings
+    plant: PlantParameters
+    around: FlightConditions
+    club: str
+    """Code of the club in the player message to monitors."""
+    wall: bool
+    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
+
+
+RING_FILE, TIMING_FILE, SNAPSHOT_FILE = "ring", "timing", "snapshot"
+"""Names of the files written by the loop in the bench's folder in shared memory."""
+
+
+def heartbeat_file(folder: Path, name: str) -> Path:
+    """Return the file of the heartbeat of process `name` in the bench's `folder`."""
+    return folder / f"{name}-heart"
 
 
 class Condition(IntEnum):
@@ -65,18 +123,13 @@ so that a restarted child continues in it."""
 class HeartbeatSender:
     """The child's side of a heartbeat."""
 
-    def __init__(self, path: Path) -> None:
-        """Open the file at `path`, or create it.
+    def __init__(self, folder: Path, name: str) -> None:
+        """Open the file of process `name` in the bench's `folder`.
 
         Raises:
-            SharedMemoryError: it cannot be created or used.
+            SharedMemoryError: the supervisor has not created it, or it cannot be used.
         """
-        try:
-            self._shared = SharedRecord.open(path, HEARTBEAT)
-        except SharedMemoryError:
-            if path.exists():
-                raise
-            self._shared = SharedRecord.create(path, HEARTBEAT)
+        self._shared = SharedRecord.open(heartbeat_file(folder, name), HEARTBEAT)
         self.last = np.zeros(1, HEARTBEAT)
         """Last heartbeat, initially that of the previous process."""
         self._shared.read(self.last)

@@ -6,10 +6,8 @@ permissions and requests.
 
 from __future__ import annotations
 
-import importlib.metadata
 import logging
 import os
-import platform
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -30,11 +28,11 @@ from bench.loop.snapshot import SNAPSHOT
 from bench.network.bench_service import (
     ArmingBlock,
     BenchStatus,
+    CommandAnswer,
     DeviceStatus,
     LaunchMonitorStatus,
     LeaseStatus,
     LoopStatus,
-    Reply,
     refused,
 )
 from bench.network.command_plane import CommandPlane
@@ -42,12 +40,11 @@ from bench.network.status_words import LATCHED, MOVING, block_text
 from bench.network.zenoh_session import close_session, open_daemon
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication
-from bench.records.telemetry.swing_metadata import run_id
+from bench.records.telemetry.swing_metadata import run_id, versions
 from bench.supervisor.child import Child, ManagedProcess
-from bench.supervisor.correction import CORRECTED_FILE
+from bench.supervisor.child_process import TIMING_FILE, LaunchMonitorPlan, LoopPlan
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import Ownership, take_bench
-from bench.supervisor.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LaunchMonitorPlan, LoopPlan
 from bench.supervisor.publisher import PublisherPlan
 from bench.supervisor.readiness import arming_block, assess, assess_bench
 from bench.supervisor.recorder import RecorderPlan
@@ -89,12 +86,6 @@ class LoopDied(BenchError):
     """The loop ended unexpectedly."""
 
     exit_code = ExitCode.DEVICE
-
-
-def versions() -> dict[str, str]:
-    """Return the versions stored with every record."""
-    names = ("golfbench", "numpy", "numba", "scipy")
-    return {name: importlib.metadata.version(name) for name in names} | {"python": platform.python_version()}
 
 
 class Daemon:
@@ -153,13 +144,14 @@ class Daemon:
 
     # Commands ------------------------------------------------------------------------------------
 
-    def request(self, request: Request) -> Reply:
+    def request(self, request: Request) -> CommandAnswer:
         """Send `request` to the loop and wait for its answer; a bench that is not ready is not armed."""
         if request is Request.ARM:
             self._blocks = self._assess_again()
             if self._blocks:
                 fact = f"arming blocked: {'; '.join(map(block_text, self._blocks))}"
-                return refused(self._link.state, Refusal.BLOCKED, fact)._replace(blocks=self._blocks)
+                content = {"arming_blocks": self._blocks}
+                return refused(self._link.state, Refusal.BLOCKED, fact)._replace(content=content)
         self._grant()  # a lease taken since the last turn counts for this request
         return self._link.request(request)
 
@@ -187,7 +179,7 @@ class Daemon:
             )
         return blocks
 
-    def correct(self, profile: str, weights: Sequence[float]) -> Reply:
+    def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Apply a correction learned for this profile from now on; without weights none."""
         if profile != self._profile_digest:
             return self._not_corrected("learned for another profile, or another version of it")
@@ -202,16 +194,12 @@ class Daemon:
                 return self._not_corrected(f"corrected, {beyond}", "learn again on a better model")
         return self._link.correct(weights)
 
-    def _not_corrected(self, fact: str, action: str = "") -> Reply:
+    def _not_corrected(self, fact: str, action: str = "") -> CommandAnswer:
         return refused(self._link.state, Refusal.CORRECTION, fact, action)
 
-    def stop(self) -> Reply:
-        """Stop according to the stopping table."""
-        return self._link.stop(Request.STOP)
-
-    def emergency_stop(self) -> Reply:
-        """Stop as with an open emergency stop circuit."""
-        return self._link.stop(Request.EMERGENCY_STOP)
+    def stop(self, request: Request) -> CommandAnswer:
+        """Stop according to the stopping table, or as with an open emergency stop circuit."""
+        return self._link.stop(request)
 
     def status(self) -> BenchStatus:
         """Return the status; the command plane adds `lease` and `counts`."""
@@ -257,14 +245,8 @@ class Daemon:
         process, reported = self._launch_monitor, self._monitored
         if process is None or process.ready:
             return None if process is None else reported
-        status = LaunchMonitorStatus(**reported)
-        status |= {
-            "listening": "",
-            "present": False,
-            "monitors": [],
-            "note": reported["note"] or process.note,
-        }
-        return status
+        note = reported["note"] or process.note
+        return {**reported, "listening": "", "present": False, "monitors": [], "note": note}
 
     # The run -------------------------------------------------------------------------------------
 
@@ -284,7 +266,7 @@ class Daemon:
             clean = False
             stack.callback(lambda: self._marker.end(clean=clean))
             self._marker.begin(os.getpid(), self._now().isoformat())
-            notifier = ServiceNotifier.of_environment(os.environ)
+            notifier = ServiceNotifier(os.environ)
             stack.callback(notifier.close)
             try:
                 self._start(stack, owner)
@@ -324,7 +306,8 @@ class Daemon:
         self._real_time = report["real_time"]
         _log.info("the loop is ready, a tick takes %.0f us", 1e-3 * report["tick_ns"])
         self._link.connect()
-        self._timing = stack.enter_context(TimingReader(folder / TIMING_FILE))
+        self._timing = TimingReader(folder / TIMING_FILE)
+        stack.callback(self._timing.close)
         self._before_timing = self._timing.snapshot()
         self._summed_up = self._advanced = self._turned = time.monotonic()
         self._turn_gap = 0.0
@@ -332,35 +315,34 @@ class Daemon:
         self._before = State.STARTING, Phase.STANDING, Reaction.NONE, Cause.NONE
         session = open_daemon(c.network)
         stack.callback(close_session, session)
-        self._plane = stack.enter_context(CommandPlane(session, c.bench.id, self))
+        self._plane = CommandPlane(session, c.bench.id, self)
+        stack.callback(self._plane.close)
         self._support = [
-            ManagedProcess("recorder", folder / "recorder-heart", self._start_recorder, self._note_record),
-            ManagedProcess("publisher", folder / "publisher-heart", self._start_publisher),
+            ManagedProcess("recorder", folder, self._start_recorder, self._note_record),
+            ManagedProcess("publisher", folder, self._start_publisher),
         ]
         if c.launch_monitor.enabled:
             self._launch_monitor = ManagedProcess(
-                "launch monitor", folder / "launch-heart", self._start_launch_monitor, self._note_launch
+                "launch monitor", folder, self._start_launch_monitor, self._note_launch
             )
         self._folder = folder
 
     def _start_recorder(self) -> Child:
-        c, folder = self.configuration, self._folder
+        c = self.configuration
         plan = RecorderPlan(
-            bench=c.bench.id,
             data_dir=c.bench.data_dir,
-            ring=folder / RING_FILE,
-            snapshot=folder / SNAPSHOT_FILE,
-            heartbeat=folder / "recorder-heart",
+            folder=self._folder,
             snapshot_dtype=SNAPSHOT,
-            corrected=folder / CORRECTED_FILE,
             profile=self.profile,
             basis=self._basis,
-            run=self._run,
-            configuration=c.effective(),
-            versions=versions(),
-            real_time=self._real_time,
-            calibrations=self.calibration.record(),
-            timing=folder / TIMING_FILE,
+            run={
+                "bench": c.bench.id,
+                "run": self._run,
+                "configuration": c.effective(),
+                "versions": versions(),
+                "real_time": self._real_time,
+                "calibrations": self.calibration.record(),
+            },
             plant=None if c.launch_monitor.enabled else c.plant,
             around=FlightConditions(c.air, c.wind, c.turf),
             wall=self.wall,
@@ -369,28 +351,23 @@ class Daemon:
         return Child.start("recorder", "bench.supervisor.recorder", plan)
 
     def _start_publisher(self) -> Child:
-        c, folder = self.configuration, self._folder
+        c = self.configuration
         plan = PublisherPlan(
             bench=c.bench.id,
             network=c.network,
-            ring=folder / RING_FILE,
-            timing=folder / TIMING_FILE,
-            heartbeat=folder / "publisher-heart",
+            folder=self._folder,
             wall=self.wall,
         )
         return Child.start("publisher", "bench.supervisor.publisher", plan)
 
     def _start_launch_monitor(self) -> Child:
-        c, folder = self.configuration, self._folder
+        c = self.configuration
         plan = LaunchMonitorPlan(
             run=self._run,
-            ring=folder / RING_FILE,
-            heartbeat=folder / "launch-heart",
+            folder=self._folder,
             settings=c.launch_monitor,
             plant=c.plant,
-            air=c.air,
-            wind=c.wind,
-            turf=c.turf,
+            around=FlightConditions(c.air, c.wind, c.turf),
             club=c.launch_monitor.club or club_code(c.swing.club),
             wall=self.wall,
         )
@@ -443,11 +420,11 @@ class Daemon:
             return
         before, self._lease = self._lease, self._plane.lease_status()
         if before is not None and self._lease is None:
-            self._publish("lease ended", {"holder": before["holder"]})
+            self._publish("lease ended", holder=before["holder"])
         elif self._lease is not None and self._lease["lapsing"] and not (before and before["lapsing"]):
             _log.warning("the lease of %s lapses soon", self._lease["holder"])
-            told = {"holder": self._lease["holder"], "seconds_left": self._lease["seconds_left"]}
-            self._publish("lease lapses", told)
+            left = self._lease["seconds_left"]
+            self._publish("lease lapses", holder=self._lease["holder"], seconds_left=left)
 
     def _sum_up(self, now: float) -> None:
         """Update the loop statistics since the last call."""
@@ -481,7 +458,7 @@ class Daemon:
         for event in loop.take_events():
             if event["event"] == "exception":
                 _log.error("the loop: %s", event.get("text"))
-                self._publish("exception", {"text": str(event.get("text"))})
+                self._publish("exception", text=str(event.get("text")))
             elif event["event"] == "device":
                 self._device = DeviceStatus(fault=event["fault"], counters=event["counters"])
                 self._link.fault = event["fault"]
@@ -504,7 +481,7 @@ class Daemon:
         state, phase, _, _ = self._before
         text = f"the loop {how} in state {state.name}, phase {phase.name}"
         self._marker.note_stop(self._stop_entry("RESTART", text, state, phase), fatal=True)
-        self._publish("loop died", {"text": text})
+        self._publish("loop died", text=text)
         return LoopDied(
             f"bench {self.configuration.bench.id}: loop",
             f"it {how}; state {state.name}, phase {phase.name}",
@@ -518,13 +495,8 @@ class Daemon:
         before = np.vstack([np.array([self._before], dtype=keys.dtype), keys[:-1]])
         for k in np.flatnonzero(np.any(keys != before, axis=1)):
             old = self._before
-            codes = keys[k].tolist()
-            state, phase, reaction, cause = (
-                State(codes[0]),
-                Phase(codes[1]),
-                Reaction(codes[2]),
-                Cause(codes[3]),
-            )
+            s, p, r, c = keys[k].tolist()
+            state, phase, reaction, cause = State(s), Phase(p), Reaction(r), Cause(c)
             self._before = state, phase, reaction, cause
             if cause is not old[3]:
                 envelope, period = self.configuration.envelope, 1.0 / self.configuration.loop.rate
@@ -550,16 +522,14 @@ class Daemon:
                 self._disarmed = found
                 _log.warning("%s: %s", found.name, CAUSE_TEXT[found])
             self._marker.note_state(state.name, phase.name)
-            tick = {"tick": int(cycles["tick"][k]), "loop_time": float(cycles["time"][k])}
             self._publish(
                 "change",
-                {
-                    "state": state.name,
-                    "phase": phase.name,
-                    "reaction": reaction.name,
-                    "cause": (cause or self._disarmed).name,
-                }
-                | tick,
+                state=state.name,
+                phase=phase.name,
+                reaction=reaction.name,
+                cause=(cause or self._disarmed).name,
+                tick=int(cycles["tick"][k]),
+                loop_time=float(cycles["time"][k]),
             )
             if state in LATCHED and cause not in (Cause.NONE, old[3], Cause.POWER_UP, Cause.RESTART):
                 self._marker.note_stop(
@@ -597,7 +567,7 @@ class Daemon:
         elif event["event"] == "shot":
             self._shots.note_outcome(event["message"], time.monotonic())
 
-    def _publish(self, event: str, content: dict[str, Any]) -> None:
+    def _publish(self, event: str, **content: Any) -> None:
         if self._plane is not None:
             self._plane.publish_event(event, content)
 

@@ -29,19 +29,20 @@ import numpy as np
 from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import State
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
-from bench.records.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
+from bench.records.shot.recorded_shot import shot_to_json, warm_up_shots
 from bench.records.shot.shot_matcher import SettledOutcome, ShotMatcher, SwingWatch
 from bench.records.shot.shot_message import ShotPublication, launch_to_json, shortened, shot_publication
 from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import (
+    RING_FILE,
     Condition,
     HeartbeatSender,
+    LaunchMonitorPlan,
     Parent,
     read_plan,
     send_event,
     send_failure,
 )
-from bench.supervisor.plan import LaunchMonitorPlan
 from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient
@@ -108,9 +109,9 @@ class LaunchMonitorService:
         settings = plan.settings
         self._stack = ExitStack()
         try:
-            self._heartbeat = HeartbeatSender(plan.heartbeat)
+            self._heartbeat = HeartbeatSender(plan.folder, "launch monitor")
             self._stack.callback(self._heartbeat.close)
-            self._ring = RingReader(plan.ring)
+            self._ring = RingReader(plan.folder / RING_FILE)
             self._stack.callback(self._ring.close)
             self._server = LaunchMonitorServer(settings)
             self._stack.callback(self._server.close)
@@ -124,10 +125,9 @@ class LaunchMonitorService:
         except BaseException:
             self._stack.close()
             raise
-        around = FlightConditions(plan.air, plan.wind, plan.turf)
         self._window = settings.window
         self._watch = SwingWatch(plan.run, wall=plan.wall)
-        self._book = ShotMatcher(settings.window, plan.plant, around)
+        self._book = ShotMatcher(settings.window, plan.plant, plan.around)
         self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence()
         self._lost = 0
         self._arming = ArmingMonitor()
@@ -258,7 +258,7 @@ def main() -> int:
     parent = Parent()
     try:
         plan: LaunchMonitorPlan = read_plan()
-        warm_up_shots(plan.plant, FlightConditions(plan.air, plan.wind, plan.turf))
+        warm_up_shots(plan.plant, plan.around)
         service = LaunchMonitorService(plan)
     except (BenchError, SharedMemoryError, DriverError) as error:
         return send_failure(error)

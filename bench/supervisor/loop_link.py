@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Answer, Refusal, Request, State
-from bench.network.bench_service import Reply, refused
+from bench.network.bench_service import CommandAnswer, refused
 from bench.records.telemetry.ring import RingReader
+from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.correction import (
     CORRECTED,
     CORRECTED_FILE,
@@ -24,7 +25,6 @@ from bench.supervisor.correction import (
     CORRECTION_FILE,
     pack_correction,
 )
-from bench.supervisor.plan import RING_FILE
 from bench.supervisor.status import refusal_words
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE
 from drivers.base.shared_record import SharedRecord
@@ -109,7 +109,7 @@ class LoopLink:
             self._stops_seen[request] += int(np.count_nonzero(cycles["request"] == request))
         return cycles
 
-    def request(self, request: Request) -> Reply:
+    def request(self, request: Request) -> CommandAnswer:
         """Send `request` to the loop and wait for its answer; one at a time.
 
         One that the loop has not taken in time is withdrawn, so that it is not done after its refusal.
@@ -123,7 +123,7 @@ class LoopLink:
                 reply = self._answer_to(number)  # taken just before
         return reply or refused(self.state, Refusal.LOOP_SILENT)
 
-    def _answer_to(self, number: int) -> Reply | None:
+    def _answer_to(self, number: int) -> CommandAnswer | None:
         """Wait for the answer to request `number`; None after the time-out."""
         deadline = time.monotonic() + _ANSWER
         while True:
@@ -135,7 +135,7 @@ class LoopLink:
                 return None
             time.sleep(_POLL_PERIOD)
 
-    def correct(self, weights: Sequence[float]) -> Reply:
+    def correct(self, weights: Sequence[float]) -> CommandAnswer:
         """Order a correction of the following swings and wait for the loop's answer; one at a time."""
         with self._request_lock:
             self._corrections_ordered += 1
@@ -145,7 +145,7 @@ class LoopLink:
                 active = self._active_correction()
                 if active["asked"] == self._corrections_ordered:
                     if active["order"]["number"] == self._corrections_ordered:
-                        return Reply(True, self.state)
+                        return CommandAnswer(True, self.state)
                     return refused(self.state, Refusal.MOVING, action="correct it at rest or at address")
                 time.sleep(_POLL_PERIOD)
         return refused(self.state, Refusal.LOOP_SILENT)
@@ -162,7 +162,7 @@ class LoopLink:
             self._corrected.read(active)
         return active[0]
 
-    def stop(self, request: Request) -> Reply:
+    def stop(self, request: Request) -> CommandAnswer:
         """Send STOP or EMERGENCY_STOP to the loop, ahead of other requests; wait until it is received."""
         counter, seen = _COUNTERS[request], self._stops_seen[request]
         with self._order_lock:
@@ -171,7 +171,7 @@ class LoopLink:
         deadline = time.monotonic() + _ANSWER
         while time.monotonic() < deadline:
             if self._stops_seen[request] > seen:
-                return Reply(True, self.state)
+                return CommandAnswer(True, self.state)
             time.sleep(_POLL_PERIOD)
         return refused(self.state, Refusal.LOOP_SILENT)
 
@@ -182,9 +182,9 @@ class LoopLink:
             self._shared.write(self._orders)
 
 
-def _reply(newest: Cycles, fault: str) -> Reply:
+def _reply(newest: Cycles, fault: str) -> CommandAnswer:
     state = State(int(newest["state"][0])).name
     if newest["answer"][0] == Answer.ACCEPTED:
-        return Reply(True, state)
+        return CommandAnswer(True, state)
     refusal = Refusal(int(newest["refusal"][0]))
     return refused(state, refusal, *refusal_words(refusal, fault))

@@ -18,11 +18,11 @@ import os
 import resource
 import sys
 import time as wall
-from collections.abc import Callable
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from statistics import median
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,10 +35,18 @@ from bench.loop.loop import Cycle
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.telemetry.encoder_preset import Shifts, moved_zero, write_shifts
 from bench.records.telemetry.ring import RingWriter, ring_capacity
-from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
+from bench.supervisor.child_process import (
+    RING_FILE,
+    SNAPSHOT_FILE,
+    TIMING_FILE,
+    LoopPlan,
+    Parent,
+    read_plan,
+    send_event,
+    send_failure,
+)
 from bench.supervisor.correction import CorrectionReader
 from bench.supervisor.ownership import adopt
-from bench.supervisor.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
 from bench.supervisor.real_time import real_time
 from bench.supervisor.supervision import SUPERVISION_FILE, Orders
 from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing, new_timing
@@ -60,32 +68,24 @@ class ThreadUsage(NamedTuple):
     """Time for which it could run and others did, ns; 0 where the kernel does not say."""
 
 
-class UsageReader:
-    """Reader of the counters of the thread that made it; a context manager."""
+@contextmanager
+def usage_reader() -> Iterator[Callable[[], ThreadUsage]]:
+    """Yield what returns the counters of this thread now; a call takes some microseconds."""
+    try:
+        waits = os.open("/proc/thread-self/schedstat", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:  # a kernel without scheduler statistics
+        waits = -1
 
-    def __init__(self) -> None:
-        try:
-            self._waits = os.open("/proc/thread-self/schedstat", os.O_RDONLY | os.O_CLOEXEC)
-        except OSError:  # a kernel without scheduler statistics
-            self._waits = -1
-
-    def read(self) -> ThreadUsage:
-        """Return the counters now; takes some microseconds."""
+    def read() -> ThreadUsage:
         usage = resource.getrusage(resource.RUSAGE_THREAD)
-        waited = int(os.pread(self._waits, 64, 0).split()[1]) if self._waits >= 0 else 0
+        waited = int(os.pread(waits, 64, 0).split()[1]) if waits >= 0 else 0
         return ThreadUsage(usage.ru_minflt + usage.ru_majflt, usage.ru_nivcsw, waited)
 
-    def close(self) -> None:
-        """Close the kernel's file. May be called twice."""
-        if self._waits >= 0:
-            os.close(self._waits)
-            self._waits = -1
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    try:
+        yield read
+    finally:
+        if waits >= 0:
+            os.close(waits)
 
 
 def stall_between(before: ThreadUsage, after: ThreadUsage, delay: int, work: int, period: int) -> Stall:
@@ -183,7 +183,8 @@ class LoopProcess:
             stack.callback(self.snapshots.close)
             self.corrections = CorrectionReader(folder, self.plan.profile, self.plan.basis)
             stack.callback(self.corrections.close)
-            self.timing = stack.enter_context(create_timing(folder / TIMING_FILE, self._period_ns))
+            self.timing = create_timing(folder / TIMING_FILE, self._period_ns)
+            stack.callback(self.timing.close)
             name, note_truth = c.driver.name, getattr(self.driver, "note_truth", None)
             self.cycle = Cycle(
                 self.driver, self.parameters, ring, name=name, note_truth=note_truth, state=State.STARTING
@@ -198,11 +199,11 @@ class LoopProcess:
                 real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
             )
             self._reopen()  # compiling may have exceeded the watchdog and heartbeat time-outs
-            self._usage = stack.enter_context(UsageReader())
+            self._read_usage = stack.enter_context(usage_reader())
             clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
-            self._used_before = self._used = self._usage.read()
-            send_event("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
+            self._used_before = self._used = self._read_usage()
+            send_event("ready", real_time=granted, tick_ns=self.tick_ns)
             return self._live(clock)
 
     def _bind(self) -> None:
@@ -315,7 +316,7 @@ class LoopProcess:
 
     def _note_usage(self) -> None:
         """Read the counters of this thread and publish them."""
-        self._used = used = self._usage.read()
+        self._used = used = self._read_usage()
         first = self._used_before
         self.timing.note_usage(used.page_faults - first.page_faults, used.preemptions - first.preemptions)
 

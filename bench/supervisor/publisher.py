@@ -34,6 +34,8 @@ from bench.records.telemetry.batches import encode_batch
 from bench.records.telemetry.cycle_record import MAX_BATCH_CYCLES
 from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import (
+    RING_FILE,
+    TIMING_FILE,
     Condition,
     HeartbeatSender,
     Parent,
@@ -64,11 +66,8 @@ class PublisherPlan:
 
     bench: str
     network: NetworkSettings
-    ring: Path
-    timing: Path
-    """File of the loop's tick timing, see `bench.supervisor.timing_record`."""
-    heartbeat: Path
-    """File of the HEARTBEAT record."""
+    folder: Path
+    """Shared-memory folder of the bench."""
     wall: bool = True
     """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
 
@@ -83,15 +82,15 @@ class Publisher:
             BenchError, SharedMemoryError: a shared file is unusable, or the endpoint is unreachable.
         """
         self._wall = plan.wall
-        self._heartbeat = HeartbeatSender(plan.heartbeat)
-        self._timing = TimingReader(plan.timing)
+        self._heartbeat = HeartbeatSender(plan.folder, "publisher")
+        self._timing = TimingReader(plan.folder / TIMING_FILE)
         self._session = open_client(plan.network, plan.bench)
         declare, drop = self._session.declare_publisher, zenoh.CongestionControl.DROP
         key = f"golfbench/{plan.bench}"
         self._telemetry = declare(f"{key}/telemetry", encoding=_ARROW, congestion_control=drop)
         self._loop = declare(f"{key}/loop", encoding=zenoh.Encoding.APPLICATION_JSON, congestion_control=drop)
         # Opened last: earlier records do not count as lost.
-        self._ring = RingReader(plan.ring)
+        self._ring = RingReader(plan.folder / RING_FILE)
         self.batches = 0
         self._connected = True
         self._statistics_at = now + _STATISTICS

@@ -22,9 +22,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from bench.base.errors import Refused
+
+if TYPE_CHECKING:  # the loop does not load it
+    from bench.network.bench_service import RealTimeStatus, SettingStatus
 
 NOT_IN_TICKS = ("libllvmlite", "openblas")
 """Parts of the names of libraries that only preparations call: all code is compiled before the first tick."""
@@ -163,46 +166,6 @@ _CPU_DMA_LATENCY = "/dev/cpu_dma_latency"
 _POLICIES = {os.SCHED_OTHER: "OTHER", os.SCHED_FIFO: "FIFO", os.SCHED_RR: "RR", os.SCHED_BATCH: "BATCH"}
 
 
-class Setting(NamedTuple):
-    """One setting as requested and as granted."""
-
-    name: str
-    asked: str
-    granted: str
-    """Value read back."""
-    held: bool
-    """Whether the requested value is in force; False if nothing was requested."""
-    reason: str
-    """Why it is not in force."""
-    action: str
-    """Action to get it granted."""
-    required: bool
-    """Whether mode `require` needs it; the others only reduce jitter."""
-
-
-@dataclass(frozen=True)
-class RealTime:
-    """Settings granted by the kernel."""
-
-    mode: Mode
-    settings: tuple[Setting, ...]
-
-    @property
-    def lacking(self) -> tuple[Setting, ...]:
-        """Required settings that were requested and are not in force."""
-        if self.mode == "off":
-            return ()
-        return tuple(setting for setting in self.settings if setting.required and not setting.held)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return everything as plain values, with the settings by name."""
-        return {
-            "mode": self.mode,
-            "held": self.mode != "off" and not self.lacking,
-            "settings": {setting.name: setting._asdict() for setting in self.settings},
-        }
-
-
 class _Item(NamedTuple):
     name: str
     asked: str
@@ -212,10 +175,11 @@ class _Item(NamedTuple):
     """Reads back the value in force and whether it is the requested one."""
     action: str
     required: bool = True
+    """Whether mode `require` needs it; the others only reduce jitter."""
 
 
 @contextmanager
-def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterator[RealTime]:
+def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterator[RealTimeStatus]:
     """Request real-time settings, yield the granted ones, and restore the previous ones at the end.
 
     Enter it after imports and warm-up, so that their objects are frozen and their memory is locked, and
@@ -238,18 +202,18 @@ def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterato
     with ExitStack() as undo:
         asked = mode != "off"
         refusals = [_try(item, undo) if asked else "" for item in items]
-        granted = RealTime(
-            mode, tuple(_settled(item, asked, why) for item, why in zip(items, refusals, strict=True))
-        )
-        if mode == "require" and granted.lacking:
+        settings = [_settled(item, asked, why) for item, why in zip(items, refusals, strict=True)]
+        lacking = [s for s in settings if s["required"] and not s["held"]]
+        if mode == "require" and lacking:
             raise Refused(
                 'loop.realtime = "require"',
-                "; ".join(f"{s.name}: {s.reason}, {s.granted}" for s in granted.lacking),
-                "; ".join(f"{s.name}: {s.asked}" for s in granted.lacking),
-                "; ".join(dict.fromkeys(s.action for s in granted.lacking))
+                "; ".join(f"{s['name']}: {s['reason']}, {s['granted']}" for s in lacking),
+                "; ".join(f"{s['name']}: {s['asked']}" for s in lacking),
+                "; ".join(dict.fromkeys(s["action"] for s in lacking))
                 + '; or set loop.realtime = "prefer" to run without (never with hardware)',
             )
-        yield granted
+        held = asked and not lacking
+        yield {"mode": mode, "held": held, "settings": {s["name"]: s for s in settings}}
 
 
 def limit_action(limit: str, value: str) -> str:
@@ -269,14 +233,19 @@ def _try(item: _Item, undo: ExitStack) -> str:
     return ""
 
 
-def _settled(item: _Item, asked: bool, refusal: str) -> Setting:
+def _settled(item: _Item, asked: bool, refusal: str) -> SettingStatus:
     granted, as_asked = item.read()
-    if not asked:
-        return Setting(item.name, "nothing", granted, False, "not asked", "", item.required)
-    if as_asked and not refusal:
-        return Setting(item.name, item.asked, granted, True, "", "", item.required)
-    reason = refusal or "not in force after the call"
-    return Setting(item.name, item.asked, granted, False, reason, item.action, item.required)
+    held = asked and as_asked and not refusal
+    reason = "" if held else refusal or "not in force after the call" if asked else "not asked"
+    return {
+        "name": item.name,
+        "asked": item.asked if asked else "nothing",
+        "granted": granted,
+        "held": held,
+        "reason": reason,
+        "action": item.action if asked and not held else "",
+        "required": item.required,
+    }
 
 
 # The settings ----------------------------------------------------------------------------------------

@@ -45,6 +45,9 @@ from bench.records.telemetry.ring import RingReader
 from bench.records.telemetry.swing_cutter import Cycles, RecordSegment, SwingSegmenter
 from bench.records.telemetry.swing_metadata import begin_of, profile_entry, run_entries, since, swing_metadata
 from bench.supervisor.child_process import (
+    RING_FILE,
+    SNAPSHOT_FILE,
+    TIMING_FILE,
     Condition,
     HeartbeatSender,
     Parent,
@@ -52,7 +55,7 @@ from bench.supervisor.child_process import (
     send_event,
     send_failure,
 )
-from bench.supervisor.correction import CORRECTED, weights_of
+from bench.supervisor.correction import CORRECTED, CORRECTED_FILE, weights_of
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
@@ -73,29 +76,17 @@ _SNAPSHOTS = 16
 class RecorderPlan:
     """Parameters of the recorder."""
 
-    bench: str
     data_dir: Path
-    ring: Path
-    snapshot: Path
-    """File of the `snapshot_dtype` record."""
-    heartbeat: Path
-    """File of the HEARTBEAT record."""
+    folder: Path
+    """Shared-memory folder of the bench."""
     snapshot_dtype: np.dtype[Any]
     """`bench.loop.snapshot.SNAPSHOT`, passed so that the recorder need not import the controller."""
-    corrected: Path
-    """File of the CORRECTED record."""
     profile: Profile
     basis: Basis
     """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
-    run: str
-    """Id of the bench's run, the prefix of shot ids."""
-    configuration: Mapping[str, Any]
-    versions: Mapping[str, Any]
-    real_time: Mapping[str, Any] = field(default_factory=dict)
-    """Real-time settings requested by the loop and granted."""
-    calibrations: Mapping[str, Any] = field(default_factory=dict)
-    timing: Path | None = None
-    """File of the loop's TIMING record; None: records go without it."""
+    run: Mapping[str, Any]
+    """Entries of all records: id of the `bench` and of its `run`, the prefix of shot ids; `configuration`,
+    `versions` and `calibrations`; `real_time`, the settings requested by the loop and granted."""
     wall: bool = True
     """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
     lead: float = 0.5
@@ -128,28 +119,20 @@ class Recorder:
                 cannot be written as JSON.
         """
         self._plan = plan
-        self._entries = run_entries(
-            plan.profile,
-            bench=plan.bench,
-            run=plan.run,
-            configuration=plan.configuration,
-            versions=plan.versions,
-            real_time=plan.real_time,
-            calibrations=plan.calibrations,
-        )
-        self._basis = plan.basis
-        self._heartbeat = HeartbeatSender(plan.heartbeat)
-        self._ring = RingReader(plan.ring, from_oldest=True)
-        self._snapshot = SharedRecord.open(plan.snapshot, plan.snapshot_dtype)
+        self._entries = run_entries(plan.run, plan.profile)
+        folder = plan.folder
+        self._heartbeat = HeartbeatSender(folder, "recorder")
+        self._ring = RingReader(folder / RING_FILE, from_oldest=True)
+        self._snapshot = SharedRecord.open(folder / SNAPSHOT_FILE, plan.snapshot_dtype)
         self._snapshots: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
-        self._corrected = SharedRecord.open(plan.corrected, CORRECTED)
+        self._corrected = SharedRecord.open(folder / CORRECTED_FILE, CORRECTED)
         self._corrections: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
         self._cutter = SwingSegmenter(lead=plan.lead, tail=plan.tail, room=plan.room)
         self._queue = RecordQueue(plan.waiting, _PAUSE)
-        self._timing = None if plan.timing is None else TimingReader(plan.timing)
-        self._timed = None if self._timing is None else self._timing.snapshot()
+        self._timing = TimingReader(folder / TIMING_FILE)
+        self._timed = self._timing.snapshot()
         self._drift = DriftMonitor()
-        self._swings = plan.data_dir / "swings" / plan.bench
+        self._swings = plan.data_dir / "swings" / plan.run["bench"]
         remove_partial(self._swings)
         self._number = int(self._heartbeat.last["done"][0])
         self._from = 0
@@ -218,10 +201,8 @@ class Recorder:
 
     def close(self) -> None:
         """Unmap the shared files."""
-        for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected):
+        for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected, self._timing):
             shared.close()
-        if self._timing is not None:
-            self._timing.close()
 
     def _read(self) -> Cycles:
         """Return the new cycles without those stored by a previous recorder."""
@@ -252,7 +233,7 @@ class Recorder:
         held = [c["order"] for c in self._corrections if c["tick"][0] <= tick]
         if not held or not (weights := weights_of(held[-1])):
             return self._entries
-        corrected = self._basis.corrected(self._plan.profile, weights)
+        corrected = self._plan.basis.corrected(self._plan.profile, weights)
         beside = {"correction": {"number": int(held[-1]["number"][0]), "weights": weights}}
         return {**self._entries, "profile": profile_entry(corrected) | beside}
 
@@ -279,10 +260,8 @@ class Recorder:
         path = record_path(self._swings, began, self._number)
         self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
 
-    def _loop_since_before(self) -> dict[str, Any] | None:
-        """Return the loop's counters since the record before; None without them."""
-        if self._timing is None:
-            return None
+    def _loop_since_before(self) -> dict[str, Any]:
+        """Return the loop's counters since the record before."""
         before, self._timed = self._timed, self._timing.snapshot()
         counted = summary(self._timed, before)
         return {
@@ -292,7 +271,7 @@ class Recorder:
 
     def _drift_of(self, cut: RecordSegment, metadata: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return speed and place of the head at the ball against the swings before; None without a strike."""
-        plant = self._plan.configuration.get("plant")
+        plant = self._plan.run["configuration"].get("plant")
         encoders = plant.get("encoders") if isinstance(plant, Mapping) else None
         counts = encoders.get("counts_per_revolution", 0) if isinstance(encoders, Mapping) else 0
         if not counts or cut.lost or metadata["outcome"]["cause"] != Cause.NONE.name:

@@ -9,9 +9,6 @@ import os
 import socket
 from collections.abc import Mapping
 
-_MAX_STATUS = 1024
-"""Max bytes of a status line; systemd accepts messages up to one page."""
-
 
 class ServiceNotifier:
     """The datagram socket named in NOTIFY_SOCKET.
@@ -19,36 +16,26 @@ class ServiceNotifier:
     Each method returns whether the message was sent, for tests.
     """
 
-    def __init__(self, address: str | None) -> None:
-        """Connect to the socket path `address`, starting with `@` if abstract; None disables sending."""
-        self._address = os.fsencode(address) if address and address[0] in "/@" else None
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        """Take the path, with a first `@` if abstract, from `environment`; without one nothing is sent."""
+        address = environment.get("NOTIFY_SOCKET", "")
+        self._address = os.fsencode(address.replace("@", "\0", 1) if address[:1] == "@" else address)
         self._socket: socket.socket | None = None
-        if self._address is not None:
-            if self._address.startswith(b"@"):
-                self._address = b"\0" + self._address[1:]
+        if address[:1] in ("/", "@"):
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
 
-    @classmethod
-    def of_environment(cls, environment: Mapping[str, str]) -> ServiceNotifier:
-        """Return the notifier for a process with this environment."""
-        return cls(environment.get("NOTIFY_SOCKET"))
-
-    def ready(self, status: str = "") -> bool:
-        """Report that startup is complete; from now on systemd expects `alive`."""
-        return self._send("READY=1", status)
-
-    def status(self, text: str) -> bool:
-        """Send a status line for `systemctl status`."""
-        return self._send("", text)
+    def ready(self, status: str) -> bool:
+        """Report that startup is complete, with a line for `systemctl status`; from now on `alive` is due."""
+        return self._send(f"READY=1\nSTATUS={status}")
 
     def alive(self) -> bool:
         """Reset systemd's watchdog."""
         return self._send("WATCHDOG=1")
 
-    def stopping(self, status: str = "") -> bool:
+    def stopping(self) -> bool:
         """Report the start of shutdown; from then on systemd no longer expects `alive`."""
-        return self._send("STOPPING=1", status)
+        return self._send("STOPPING=1")
 
     def close(self) -> None:
         """Close the socket; later messages are not sent."""
@@ -56,15 +43,11 @@ class ServiceNotifier:
             self._socket.close()
             self._socket = None
 
-    def _send(self, assignment: str, status: str = "") -> bool:
-        if self._socket is None or self._address is None:
+    def _send(self, message: str) -> bool:
+        if self._socket is None:
             return False
-        lines = [assignment.encode()] if assignment else []
-        if line := " ".join(status.split()):  # a line break would start another assignment
-            text = line.encode(errors="replace")[:_MAX_STATUS]
-            lines.append(b"STATUS=" + text.decode(errors="ignore").encode())
         try:
-            self._socket.sendto(b"\n".join(lines), self._address)
+            self._socket.sendto(message.encode(), self._address)
         except OSError:
             return False
         return True

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from bench.base.json_schema import json_value
 from bench.base.lifecycle import (
     CAUSE_TEXT,
     CAUSE_WORDS,
@@ -155,10 +156,10 @@ def status_of(
         "tick": int(r["tick"]),
         "time": float(r["time"]),
         "lease": None,
-        "joints_deg": [_number(x) for x in np.rad2deg(r["angle"])],
-        "supply_pressure_pa": _number(r["supply_pressure"]),
-        "chamber_pressure_pa": [_number(x) for x in r["chamber_pressure"]],
-        "spool_positions": [_number(x) for x in r["spool_position"]],
+        "joints_deg": json_value(np.rad2deg(r["angle"]).tolist()),
+        "supply_pressure_pa": json_value(float(r["supply_pressure"])),
+        "chamber_pressure_pa": json_value(r["chamber_pressure"].tolist()),
+        "spool_positions": json_value(r["spool_position"].tolist()),
         "air_faults": [CAUSE_TEXT[fault] for fault in _air_faults(int(r["air_fault"]))],
         "vents_open": [_position(x) for x in r["vent_open"]],
         "shut_off_open": _position(r["shut_off_open"]),
@@ -225,8 +226,3 @@ def _position(seen: float) -> bool | None:
 def _air_faults(bits: int) -> list[Cause]:
     """Return the causes of `bits` of `bench.control.monitor.pressure_monitor.air_fault`."""
     return [fault for k, fault in enumerate(FAULTS) if bits >> k & 1]
-
-
-def _number(value: float) -> float | None:
-    """Return `value` for JSON, None if it is not finite."""
-    return float(value) if isfinite(value) else None

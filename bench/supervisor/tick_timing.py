@@ -8,7 +8,7 @@ from __future__ import annotations
 import mmap
 import os
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,12 +117,6 @@ class TickTiming:
         self._words = self._record.view(np.int64)
         if self._memory is not None:
             self._memory.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def new_timing(period_ns: int) -> np.ndarray[Any, Any]:

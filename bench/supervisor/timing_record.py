@@ -14,7 +14,7 @@ import os
 from enum import IntEnum
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,12 +116,6 @@ class TimingReader:
     def close(self) -> None:
         """Unmap; the file remains. May be called twice."""
         self._memory.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def percentile(count: NDArray[np.int64], share: float) -> int:

@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Self
 from urllib.parse import quote
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError, ExitCode
-from bench.network.free_port import free_port
 
 LOOPBACK = "127.0.0.1"
 

@@ -17,8 +17,8 @@ from bench.base.errors import BenchError, ExitCode
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.records.shot.recorded_shot import FlightConditions
+from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.ownership import bench_folder
-from bench.supervisor.plan import RING_FILE
 from bench.web.answers import Downloads, InvalidBody, UnknownName, json_answer
 from bench.web.bench_link import BenchLink
 from bench.web.broadcaster import PageBroadcaster, TopicPoller

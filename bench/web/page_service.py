@@ -18,8 +18,8 @@ from threading import Barrier, Lock
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from bench.base.errors import BenchError, Refused
+from bench.network.bench_service import CommandAnswer
 from bench.network.client import BenchClient
-from bench.network.command import CommandAnswer
 from bench.network.lease import MAX_HOLDER_LENGTH
 from bench.web.answers import (
     Asked,

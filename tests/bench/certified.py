@@ -6,9 +6,9 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from bench.base.address import free_port
 from bench.config import Configuration, NetworkSettings
 from bench.network.certificates import AUTHORITY, Identity, make_authority, make_certificate, write_identity
-from bench.network.free_port import free_port
 from tests.bench.fake_bench_service import loopback_configuration
 
 HERE = ("127.0.0.1", "localhost")

@@ -12,20 +12,20 @@ from typing import NamedTuple
 
 import zenoh
 
+from bench.base.address import free_port
 from bench.base.lifecycle import ACCEPTED_IN, CAUSE_WORDS, Cause, Refusal, Request, State
 from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
 from bench.network.bench_service import (
     BenchStatus,
     CauseStatus,
+    CommandAnswer,
     CountStatus,
     DeviceStatus,
     LoopStatus,
     ProcessStatus,
-    Reply,
     refused,
 )
 from bench.network.command_plane import CommandPlane
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_daemon
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
@@ -71,7 +71,7 @@ class FakeDesk:
         """Cause of a disarming; POWER_UP in ESTOP and FAULT."""
         self._began = time.monotonic()
 
-    def request(self, request: Request) -> Reply:
+    def request(self, request: Request) -> CommandAnswer:
         self.requests.append(request)
         self.free.wait()
         if self.error is not None:
@@ -92,26 +92,20 @@ class FakeDesk:
         self.state = NEXT[request]
         if request is Request.SWING:
             self.publish_shot(a_shot(self.requests.count(Request.SWING)))
-        return Reply(True, self.state.name)
+        return CommandAnswer(True, self.state.name)
 
-    def correct(self, profile: str, weights: Sequence[float]) -> Reply:
+    def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         if self.state is State.SWINGING:
             return refused(self.state.name, Refusal.MOVING)
         self.corrections.append((profile, tuple(weights)))
-        return Reply(True, self.state.name)
+        return CommandAnswer(True, self.state.name)
 
-    def stop(self) -> Reply:
-        return self._stop("stop", State.FAULT)
-
-    def emergency_stop(self) -> Reply:
-        return self._stop("estop", State.ESTOP)
-
-    def _stop(self, what: str, state: State) -> Reply:
-        self.stops.append((what, time.monotonic()))
+    def stop(self, request: Request) -> CommandAnswer:
+        self.stops.append(("stop" if request is Request.STOP else "estop", time.monotonic()))
         if self.error is not None:
             raise self.error
-        self.state = state
-        return Reply(True, state.name)
+        self.state = State.FAULT if request is Request.STOP else State.ESTOP
+        return CommandAnswer(True, self.state.name)
 
     def status(self) -> BenchStatus:
         stopped = self.state in (State.ESTOP, State.FAULT)

@@ -17,9 +17,10 @@ import numpy as np
 
 from bench.loop.snapshot import SNAPSHOT
 from bench.records.telemetry.ring import RingWriter
-from bench.supervisor.child_process import HEARTBEAT
+from bench.supervisor.child_process import HEARTBEAT, TIMING_FILE, heartbeat_file
 from bench.supervisor.correction import CORRECTED, pack_correction
 from bench.supervisor.recorder import RecorderPlan
+from bench.supervisor.tick_timing import create_timing
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -41,7 +42,8 @@ class RecordedBench:
         self.writer = RingWriter(folder / "ring", capacity)
         self.snapshots = SharedRecord.create(folder / "snapshot", SNAPSHOT)
         self.corrected = SharedRecord.create(folder / "corrected", CORRECTED)
-        self.heart = SharedRecord.create(folder / "heart", HEARTBEAT)
+        self.heart = SharedRecord.create(heartbeat_file(folder, "recorder"), HEARTBEAT)
+        self.timing = create_timing(folder / TIMING_FILE, 1_000_000)
         self.recorder: subprocess.Popen[bytes] | None = None
         self.begun = time.monotonic() - 100.0
         self.cycles: list[Cycles] = []
@@ -51,20 +53,19 @@ class RecordedBench:
     def plan(self, **changes: Any) -> RecorderPlan:
         return RecorderPlan(
             **{
-                "bench": "b1",
                 "data_dir": self.data,
-                "ring": self.folder / "ring",
-                "snapshot": self.folder / "snapshot",
-                "corrected": self.folder / "corrected",
-                "heartbeat": self.folder / "heart",
+                "folder": self.folder,
                 "snapshot_dtype": SNAPSHOT,
                 "profile": (profile := load_profile(find_profile("default"))),
                 "basis": basis_of(profile),
-                "run": "r",
-                "configuration": {"loop": {"rate": 1000}},
-                "versions": {"golfbench": "test"},
-                "real_time": {"scheduling": "FIFO"},
-                "calibrations": {"date": "2026-11-21"},
+                "run": {
+                    "bench": "b1",
+                    "run": "r",
+                    "configuration": {"loop": {"rate": 1000}},
+                    "versions": {"golfbench": "test"},
+                    "real_time": {"scheduling": "FIFO"},
+                    "calibrations": {"date": "2026-11-21"},
+                },
                 "lead": 0.125,
                 "tail": 0.25,
                 **changes,
@@ -157,5 +158,5 @@ class RecordedBench:
 
     def close(self) -> None:
         self.kill()
-        for shared in (self.writer, self.snapshots, self.corrected, self.heart):
+        for shared in (self.writer, self.snapshots, self.corrected, self.heart, self.timing):
             shared.close()

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,9 +34,9 @@ from bench.commands.bench.nodes import nodes_plan
 from bench.commands.common.progress import progress_bar
 from bench.config import Configuration, load_configuration
 from bench.supervisor.child import Child
+from bench.supervisor.child_process import TIMING_FILE, LoopPlan
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import take_bench
-from bench.supervisor.plan import TIMING_FILE, LoopPlan
 from bench.supervisor.real_time import PRIORITY
 from bench.supervisor.timing_record import SEGMENTS, TIMING, TimingReader, percentile, summary
 from bench.swing.correction import basis_of
@@ -206,7 +206,7 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
         stack.callback(loop.end, 15.0)
         loop.wait_until_ready(START)
         link.connect()
-        timing = stack.enter_context(TimingReader(owner.folder / TIMING_FILE))
+        timing = stack.enter_context(closing(TimingReader(owner.folder / TIMING_FILE)))
         yield RunningLoop(link, loop, timing)
 
 

@@ -29,15 +29,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, State
 from bench.network.client import BenchClient
-from bench.network.free_port import free_port
 from bench.network.lease import MAX_SECONDS
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.ring import RingReader
-from bench.supervisor.child_process import HEARTBEAT
-from bench.supervisor.plan import RING_FILE
+from bench.supervisor.child_process import HEARTBEAT, RING_FILE
 from drivers.base.shared_record import SharedRecord
 from tests.benchmarks.process_samples import (
     Growth,

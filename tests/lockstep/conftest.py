@@ -12,7 +12,7 @@ import pytest
 import bench.swing
 from bench.base.clock import FreeClock
 from bench.control.settings import ControlSettings, build_controller
-from bench.loop.loop import Cycle, Loop
+from bench.loop.loop import Loop
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile, load_profile
 from sim.driver import SimDriver, hanging_pose
@@ -66,8 +66,9 @@ def make_pair() -> Callable[..., Pair]:
         driver = SimDriver(parameters, start)
         driver.open()
         controllers = [build_controller(parameters, profile, control) for _ in range(2)]
-        cycle = Cycle(driver, controllers[0], lambda _: None, name="sim", note_truth=driver.note_truth)
+        clock = FreeClock(parameters.tick)
+        loop = Loop(driver, controllers[0], clock, name="sim", note_truth=driver.note_truth)
         compiled = Lockstep(build_plant(parameters), controllers[1], start)
-        return Pair(compiled, Loop(cycle, FreeClock(parameters.tick)), driver)
+        return Pair(compiled, loop, driver)
 
     return make

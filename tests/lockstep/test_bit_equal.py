@@ -36,9 +36,9 @@ def armed(pair: Pair) -> None:
     pair.advance(1, Request.ARM)
     for _ in range(100):
         pair.advance(100)
-        if pair.driver.applied.supply_enable and pair.python.cycle.phase is Phase.HOLD:
+        if pair.driver.applied.supply_enable and pair.python.phase is Phase.HOLD:
             return
-    pytest.fail(f"not at address: phase {pair.python.cycle.phase}, {pair.python.state.control['cause']}")
+    pytest.fail(f"not at address: phase {pair.python.phase}, {pair.python.state.control['cause']}")
 
 
 def swung(pair: Pair, until: float) -> None:
@@ -60,7 +60,7 @@ def finished(pair: Pair) -> np.ndarray:
     records = []
     for _ in range(100):
         records.append(pair.advance(100))
-        if pair.python.cycle.phase in {Phase.HOLD, Phase.STANDING}:
+        if pair.python.phase in {Phase.HOLD, Phase.STANDING}:
             return np.concatenate(records)
     pytest.fail("no end of the swing")
 
@@ -76,7 +76,7 @@ def test_lock_step_whole_swing_is_bit_equal(
     assert pair.driver.contact is not None
     assert pair.driver.contact.time == float(pair.compiled.plant_state["impact_time"][0])
     finished(pair)
-    assert pair.python.cycle.phase is Phase.HOLD
+    assert pair.python.phase is Phase.HOLD
     assert pair.python.state.control["cause"][0] == Cause.NONE
     pair.tee(False)
     pair.advance(1, Request.DISARM)
@@ -151,7 +151,7 @@ def test_lock_step_stop_in_swing_is_bit_equal(
     cycles = finished(pair)
     assert pair.python.state.control["cause"][0] != Cause.NONE
     assert cycles["reaction"].max() >= Reaction.COMPLETE
-    assert pair.python.cycle.phase is Phase.STANDING
+    assert pair.python.phase is Phase.STANDING
     for field in ("emergency_stop_clear", "guard_closed", "encoder_valid"):
         pair.set(field, 1)
     for _ in range(16):  # a robot that still sinks is not reset
@@ -172,7 +172,7 @@ def test_lock_step_short_encoder_loss_completes_swing(make_pair: MakePair, defau
     assert not lost["encoder_valid"][:, 1].any()
     assert np.all(np.diff(lost["angle_variance"][:, 1]) > 0)
     finished(pair)
-    assert pair.python.cycle.phase is Phase.HOLD
+    assert pair.python.phase is Phase.HOLD
 
 
 FAULTS = st.tuples(

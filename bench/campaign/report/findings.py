@@ -13,11 +13,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.base.json_schema import json_value
 from bench.campaign.plan.plan import CampaignPlan, levels, reference_level
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import RuleFinding, judge_rules
@@ -422,7 +422,7 @@ def findings_record(found: Findings) -> dict[str, Any]:
             )
         ],
         "repeatability": [
-            {"swing": swing, "club": club, "figures": [_plain(asdict(figure)) for figure in figures]}
+            {"swing": swing, "club": club, "figures": [json_value(asdict(figure)) for figure in figures]}
             for (swing, club), figures in found.repeatability.items()
         ],
         "rules": [asdict(rule) for rule in found.rules],
@@ -431,7 +431,7 @@ def findings_record(found: Findings) -> dict[str, Any]:
 
 def _section_record(analysis: SectionAnalysis) -> dict[str, Any]:
     """Return an analysis for JSON; balls within clubs only of a split-plot."""
-    record: dict[str, Any] = _plain(asdict(analysis))
+    record: dict[str, Any] = json_value(asdict(analysis))
     if not analysis.within:
         del record["within"]
     return record
@@ -439,7 +439,7 @@ def _section_record(analysis: SectionAnalysis) -> dict[str, Any]:
 
 def _views_record(views: SectionViews) -> dict[str, Any]:
     """Return the views for JSON, of a control chart without the shots' own values."""
-    record: dict[str, Any] = _plain(asdict(replace(views, control_charts=())))
+    record: dict[str, Any] = json_value(asdict(replace(views, control_charts=())))
     record["control_charts"] = [
         {
             "column": chart.column,
@@ -451,17 +451,3 @@ def _views_record(views: SectionViews) -> dict[str, Any]:
         for chart in views.control_charts
     ]
     return record
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case dict():
-            return {key: _plain(item) for key, item in value.items()}
-        case tuple() if hasattr(value, "_asdict"):
-            return _plain(value._asdict())
-        case list() | tuple():
-            return [_plain(item) for item in value]
-        case float():
-            return value if isfinite(value) else None
-        case _:
-            return value

@@ -129,6 +129,6 @@ class KeptConnection:
         with closing(client.states(REDRAW)) as states:
             for received in states:
                 if received is not None:
-                    self._status, self._received_at = received
+                    self._status, self._received_at = received, time.monotonic()
                 if self._ended.is_set():
                     return

@@ -17,9 +17,8 @@ from bench.commands.common.options import Json, flag, option
 from bench.commands.common.session import Session, exit_unless, show_json, user_name
 
 if TYPE_CHECKING:
-    from bench.network.bench_service import BenchStatus
+    from bench.network.bench_service import BenchStatus, CommandAnswer
     from bench.network.client import BenchClient
-    from bench.network.command import CommandAnswer
     from bench.records.shot.shot_message import ShotPublication
 
 PANEL = "A running bench"
@@ -57,7 +56,7 @@ def status(
             typer.echo(json.dumps(bench.status(), indent=None if watch else 2))
             for heard in bench.states(1.0) if watch else ():
                 if heard is not None:
-                    typer.echo(json.dumps(heard.status))
+                    typer.echo(json.dumps(heard))
             return
         from rich.console import Console
 

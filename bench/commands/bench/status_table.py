@@ -86,7 +86,7 @@ def watch_status(bench: BenchClient, console: Console) -> NoReturn:
         drawn_at = heard_at
         for heard in states:
             if heard is not None:
-                newest, heard_at = heard
+                newest, heard_at = heard, time.monotonic()
             now = time.monotonic()
             if now - drawn_at >= 0.9 * REDRAW:
                 live.update(status_table(newest, now - heard_at), refresh=True)

@@ -36,7 +36,7 @@ def realtime() -> dict[str, Any]:
         late = wake_up_latencies()
     quantiles = {"p50_us": 0.5, "p99_us": 0.99, "max_us": 1.0}
     return {
-        **granted.as_json(),
+        **granted,
         "latency": {
             name: round(late[min(int(q * len(late)), len(late) - 1)] * 1e6, 1)
             for name, q in quantiles.items()

@@ -102,7 +102,7 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
             inputs_only=plan.inputs_only,
         )
         stack.callback(server.close)
-        send_event("ready", real_time=granted.as_json())
+        send_event("ready", real_time=granted)
         while not ends():
             if not connection.poll():
                 server.hold()

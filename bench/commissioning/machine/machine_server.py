@@ -22,7 +22,7 @@ from bench.config import Configuration
 from bench.control.settings import build_controller, with_tables_of
 from bench.control.states import near_address
 from bench.learning.live import swung_cycles
-from bench.loop.loop import Cycle, Cycles, Loop
+from bench.loop.loop import Cycles, Loop
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, return_failed
 from bench.simulation.swing_operator import (
     RETURN_TIMEOUT,
@@ -88,20 +88,20 @@ class LiveSeries:
             replace(configuration.lifecycle, hold_between_swings=True),
             configuration.homing,
         )
-        cycle = Cycle(
+        loop = Loop(
             driver,
             bench.with_its_limits(made),
-            lambda _: None,
+            clock,
             name=configuration.driver.name,
             note_truth=getattr(driver, "note_truth", None),
             state=State.STARTING,
         )
-        control = cycle.state.control
+        control = loop.state.control
         for permission in ("supervisor_alive", "lease_held", "support_ready"):
             control[permission] = True  # the caller alone has this bench, and keeps its records
-        self._operator = SwingOperator(Loop(cycle, clock), stop=stop, name=bench.profile.name)
+        self._operator = SwingOperator(loop, stop=stop, name=bench.profile.name)
         self._operator.shows_no_pressure()  # compiled, or read from the cache, before a tick waits for it
-        near_address(cycle.parameters, cycle.state.estimator)
+        near_address(loop.parameters, loop.state.estimator)
         self._operator.advance(round(_WARM_UP / clock.period))
         control["is_warmed_up"] = True
         self._operator.advance(1)
@@ -299,7 +299,7 @@ class LiveSeries:
             raise Refused("tee", f"no ball in {_FEED:g} s", "a ball", "Fill the feeder, then --resume.")
 
     def _sees_ball(self) -> bool:
-        return bool(self._operator.stepper.cycle.record["ball_present"][0])
+        return bool(self._operator.stepper.record["ball_present"][0])
 
     def _revive(self) -> None:
         """Open the device again if it has become passive."""

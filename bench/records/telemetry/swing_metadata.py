@@ -35,11 +35,13 @@ from __future__ import annotations
 
 import base64
 import json
+import platform
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from datetime import UTC, datetime
 from hashlib import sha256
+from importlib.metadata import version
 from math import floor
 from typing import Any
 
@@ -56,18 +58,29 @@ _MAX_PROFILE_BYTES = 64 << 20
 """Bytes of a profile's JSON."""
 
 
-def run_entries(profile: Profile, **shared: Any) -> dict[str, Any]:
-    """Return the keys that all records of a run share: its profile, and the `shared` ones as they are.
+def versions() -> dict[str, str]:
+    """Return the versions stored with every record."""
+    names = ("golfbench", "numpy", "numba", "scipy")
+    return {name: version(name) for name in names} | {"python": platform.python_version()}
+
+
+def run_entries(run: Mapping[str, Any], profile: Profile) -> dict[str, Any]:
+    """Return the keys of the metadata that all records of one run share: those of `run`, and the profile.
 
     Raises:
         BenchError: a value cannot be written as JSON, for example NaN.
     """
     try:
-        given = json.dumps(shared | {"profile": profile_entry(profile)}, allow_nan=False)
+        entries: dict[str, Any] = json.loads(
+            json.dumps({**run, "profile": profile_entry(profile)}, allow_nan=False)
+        )
     except (TypeError, ValueError) as error:
-        expected, action = "values that JSON can hold, no NaN", "Report this error with the record."
-        raise BenchError("metadata of records", str(error), expected, action) from error
-    entries: dict[str, Any] = json.loads(given)
+        raise BenchError(
+            "metadata of records",
+            str(error),
+            "values that JSON can hold, no NaN",
+            "Report this error with the record.",
+        ) from error
     return entries
 
 
@@ -82,7 +95,7 @@ def swing_metadata(
 ) -> dict[str, Any]:
     """Return the metadata of record `number` with the cycles of `cut` (loop's times, at least one).
 
-    `entries` are those of the run; of `snapshots` (one-element arrays with `tick` and `time`) the first
+    `entries` are those of `run_entries`; of `snapshots` (one-element arrays with `tick` and `time`) the first
     that the record can be replayed from is stored.
     """
     cycles = cut.cycles

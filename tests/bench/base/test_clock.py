@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.base.clock import LATE, MAX_SPIN, GridClock, absolute_sleep
+from bench.base.clock import LATE, MAX_SPIN, FreeClock, GridClock, PacedClock, absolute_sleep
 
 PERIOD = 1_000_000
 START = 5_000_000_123
@@ -184,3 +184,26 @@ def test_absolute_sleep_past_time_returns_at_once() -> None:
 def test_absolute_sleep_negative_time_raises_os_error() -> None:
     with pytest.raises(OSError, match="Invalid argument"):
         absolute_sleep()(-1_000_000_000)
+
+
+def test_free_clock_times_are_exact_multiples_of_period() -> None:
+    clock = FreeClock(0.001)
+    assert [clock.wait() for _ in range(5000)] == [k * 0.001 for k in range(5000)]
+
+
+def test_paced_clock_late_tick_counts_slip() -> None:
+    wall, naps = [100.0], []
+
+    def sleep(duration: float) -> None:
+        naps.append(duration)
+        wall[0] += duration
+
+    clock = PacedClock(0.001, lambda: wall[0], sleep)
+    times = []
+    for k in range(6):
+        times.append(clock.wait())
+        wall[0] += 0.0005 if k != 2 else 0.0205
+    assert times == [k * 0.001 for k in range(6)]
+    assert clock.slips == 1
+    assert clock.slipped == pytest.approx(0.0195)
+    assert naps == pytest.approx([0.0005] * 4)

@@ -19,12 +19,12 @@ from typing import Any
 
 import pytest
 
+from bench.base.address import free_port
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import all_trials
 from bench.campaign.run.campaign_control import ask
 from bench.config import database_url, load_configuration
-from bench.network.free_port import free_port
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.shot.shot_matcher import UNREPORTED
 from bench.records.telemetry.recorder import read_swing

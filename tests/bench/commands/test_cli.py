@@ -19,11 +19,11 @@ from typing import Any
 import psutil
 import pytest
 
+from bench.base.address import free_port
 from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
 from bench.base.interrupt import Terminated
 from bench.base.lifecycle import State
 from bench.commands.cli import command_line, main
-from bench.network.free_port import free_port
 from drivers.base import DriverError
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.sampling import release_except

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.address import free_port
 from bench.base.errors import ExitCode
 from bench.config import load_configuration
 from bench.learning.delivery import strike_from_mark
 from bench.network.client import BenchClient
-from bench.network.free_port import free_port
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
 from bench.records.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, running_bench, simulated_monitor, write_configuration

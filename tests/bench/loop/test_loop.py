@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.base.clock import FreeClock, PacedClock
+from bench.base.clock import FreeClock
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.settings import (
     ControlSettings,
@@ -119,7 +119,7 @@ def driver() -> Faulty:
 
 @pytest.fixture
 def loop(driver: Faulty, parameters: ControlParameters) -> Loop:
-    return Loop(Cycle(driver, parameters, lambda _: None, name="faulty"), FreeClock(PERIOD))
+    return Loop(driver, parameters, FreeClock(PERIOD), name="faulty")
 
 
 @pytest.fixture
@@ -129,9 +129,9 @@ def holding(loop: Loop) -> Loop:
     loop.advance(1, Request.ARM)
     for _ in range(60):
         loop.advance(100)
-        if loop.cycle.phase is Phase.HOLD:
+        if loop.phase is Phase.HOLD:
             return loop
-    pytest.fail(f"no hold: {loop.cycle.phase!r}, cause {control(loop)['cause']}")
+    pytest.fail(f"no hold: {loop.phase!r}, cause {control(loop)['cause']}")
 
 
 def control(loop: Loop) -> Any:
@@ -173,13 +173,13 @@ def test_cycle_failed_reading_triggers_open_loop_brake_in_same_tick(holding: Loo
     assert not failed["encoder_valid"].any()
     assert not failed["emergency_stop_clear"]
     assert np.isnan(failed["supply_pressure"])
-    assert holding.cycle.read_error is driver.fail_read
+    assert holding.read_error is driver.fail_read
     driver.fail_read = OSError("later")
     for _ in range(30):
         holding.advance(100)
     assert phase(holding) == Phase.STANDING
     assert driver.applied == PASSIVE
-    assert str(holding.cycle.read_error) == "bus off"
+    assert str(holding.read_error) == "bus off"
     assert control(holding)["cause"] == Cause.EXCEPTION
 
 
@@ -216,7 +216,7 @@ def test_cycle_invalid_readings_type_triggers_open_loop_brake(
 ) -> None:
     driver.readings = wrong
     assert holding.advance(1)["reaction"][0] == Reaction.BLIND_BRAKE
-    assert holding.cycle.read_error is not None
+    assert holding.read_error is not None
 
 
 @pytest.mark.parametrize("error", [DriverError("valve island gone"), OSError("no buffer space")])
@@ -225,10 +225,10 @@ def test_cycle_failed_write_makes_passive_in_same_tick(
 ) -> None:
     holding.advance(150, Request.SWING)
     kept = CycleArray(1)
-    holding.cycle.publish = kept
+    holding.publish = kept
     driver.fail_write = error
     with pytest.raises(type(error)) as raised:
-        holding.cycle.run_tick(holding.clock.wait())
+        holding.run_tick(holding.clock.wait())
     told = [str(raised.value), *getattr(raised.value, "__notes__", [])]
     assert any("driver 'faulty'" in text and "passive command was sent" in text for text in told)
     assert str(error) in told[0]
@@ -270,11 +270,11 @@ def test_cycle_failed_step_makes_passive(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("in the step")
 
-    monkeypatch.setattr(holding.cycle, "_decide", fail)
+    monkeypatch.setattr(holding, "_decide", fail)
     kept = CycleArray(1)
-    holding.cycle.publish = kept
+    holding.publish = kept
     with pytest.raises(ZeroDivisionError) as raised:
-        holding.cycle.run_tick(holding.clock.wait())
+        holding.run_tick(holding.clock.wait())
     assert "driver 'faulty'" in raised.value.__notes__[0]
     assert driver.passive == 1
     assert len(kept.cycles) == 0  # nothing was decided, so nothing is told
@@ -294,12 +294,12 @@ def test_cycle_failed_publisher_lets_swing_complete(holding: Loop) -> None:
         calls.append(int(record["tick"][0]))
         raise OSError(28, "no space left")
 
-    holding.cycle.publish = full
-    holding.cycle.request(Request.SWING)
+    holding.publish = full
+    holding.request(Request.SWING)
     for _ in range(1500):
-        holding.cycle.run_tick(holding.clock.wait())
+        holding.run_tick(holding.clock.wait())
     assert len(calls) == 1
-    assert isinstance(holding.cycle.publish_error, OSError)
+    assert isinstance(holding.publish_error, OSError)
     assert control(holding)["swings"] == 1
     assert control(holding)["cause"] == Cause.NONE
 
@@ -322,31 +322,8 @@ def test_bring_to_rest_tick_limit_makes_passive(holding: Loop, driver: Faulty) -
     assert driver.applied == PASSIVE
 
 
-def test_free_clock_times_are_exact_multiples_of_period() -> None:
-    clock = FreeClock(PERIOD)
-    assert [clock.wait() for _ in range(5000)] == [k * PERIOD for k in range(5000)]
-
-
-def test_paced_clock_late_tick_counts_slip() -> None:
-    wall, naps = [100.0], []
-
-    def sleep(duration: float) -> None:
-        naps.append(duration)
-        wall[0] += duration
-
-    clock = PacedClock(PERIOD, lambda: wall[0], sleep)
-    times = []
-    for k in range(6):
-        times.append(clock.wait())
-        wall[0] += 0.0005 if k != 2 else 0.0205
-    assert times == [k * PERIOD for k in range(6)]
-    assert clock.slips == 1
-    assert clock.slipped == pytest.approx(0.0195)
-    assert naps == pytest.approx([0.0005] * 4)
-
-
 def test_cycle_replaced_state_and_parameters_apply_in_next_tick(holding: Loop) -> None:
-    cycle = holding.cycle
+    cycle = holding
     parameters = cycle.parameters._replace(control=cycle.parameters.control.copy())
     parameters.control["read_only"] = True
     cycle.state, cycle.parameters = new_control_state(State.FAULT), parameters

@@ -10,9 +10,9 @@ import pytest
 
 from bench.base.lifecycle import REFUSAL_WORDS, Refusal
 from bench.network.bench_operator import BenchOperator
-from bench.network.bench_service import BenchStatus
+from bench.network.bench_service import BenchStatus, CommandAnswer
 from bench.network.client import BenchClient, CommandRefused
-from bench.network.command import CommandAnswer, Verb
+from bench.network.command import Verb
 from tests.bench.fake_bench_service import FakeDesk
 
 

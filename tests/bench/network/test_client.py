@@ -74,47 +74,51 @@ def test_bench_client_has_method_for_each_verb(running: RunningPlane, bench: Ben
     assert len(running.service.requests) == 7
 
 
-@pytest.mark.parametrize("verb", ["reset", "home", "arm"])
-def test_bench_client_moving_robot_retries_request(
-    running: RunningPlane, bench: BenchClient, verb: str
+@pytest.mark.parametrize(
+    ("verb", "state", "hindrance", "times"),
+    [
+        ("reset", State.ESTOP, "sways", 3),
+        ("home", State.SAFE, "sways", 3),
+        ("home", State.SAFE, "vents", 2),
+        ("arm", State.READY, "sways", 3),
+        ("arm", State.READY, "vents", 3),
+        ("swing", State.ARMED, "fills", 3),
+    ],
+)
+def test_bench_client_passing_refusal_retries_request(
+    running: RunningPlane, bench: BenchClient, verb: str, state: State, hindrance: str, times: int
 ) -> None:
     bench.take_lease("Ann")
-    before = {"reset": State.ESTOP, "home": State.SAFE, "arm": State.READY}
-    running.service.state, running.service.sways = before[verb], 3
+    running.service.state = state
+    setattr(running.service, hindrance, times)
     assert getattr(bench, verb)().accepted
-    assert len(running.service.requests) == 4
+    assert len(running.service.requests) == times + 1
 
 
-def test_arm_venting_chambers_retries_request(running: RunningPlane, bench: BenchClient) -> None:
-    bench.take_lease("Ann")
-    running.service.state, running.service.sways, running.service.vents = State.READY, 2, 3
-    assert bench.arm().accepted
-    assert len(running.service.requests) == 6
-
-
-def test_swing_filling_chambers_retries_request(running: RunningPlane, bench: BenchClient) -> None:
-    bench.take_lease("Ann")
-    running.service.state, running.service.fills = State.ARMED, 3
-    assert bench.swing().accepted
-    assert running.service.requests == [Request.SWING] * 4
-
-
-def test_swing_pressure_timeout_reports_reason_and_action(
-    running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("verb", "state", "hindrance", "found", "action"),
+    [
+        ("swing", State.ARMED, "fills", "the chambers are not at their planned pressures yet", "Wait"),
+        ("arm", State.READY, "vents", "the chambers are not verified empty yet", "Wait"),
+        ("reset", State.ESTOP, "sways", "a joint still moves", "Wait until the robot rests"),
+    ],
+)
+def test_bench_client_passing_refusal_timeout_reports_reason_and_action(
+    running: RunningPlane,
+    bench: BenchClient,
+    verb: str,
+    state: State,
+    hindrance: str,
+    found: str,
+    action: str,
 ) -> None:
     bench.take_lease("Ann")
-    running.service.state, running.service.fills = State.ARMED, 1000
+    running.service.state = state
+    setattr(running.service, hindrance, 1000)
     with pytest.raises(CommandRefused) as caught:
-        bench.swing(retry_timeout=0.2)
-    assert caught.value.found == "refused in state ARMED: the chambers are not at their planned pressures yet"
-    assert caught.value.action == "Wait, then retry."
-
-
-def test_home_venting_chambers_retries_request(running: RunningPlane, bench: BenchClient) -> None:
-    bench.take_lease("Ann")
-    running.service.state, running.service.vents = State.SAFE, 2
-    assert bench.home().accepted
-    assert len(running.service.requests) == 3
+        getattr(bench, verb)(retry_timeout=0.2)
+    assert caught.value.found == f"refused in state {state.name}: {found}"
+    assert caught.value.action == f"{action}, then retry."
 
 
 def test_arm_recovering_robot_retries_request(running: RunningPlane, bench: BenchClient) -> None:
@@ -144,28 +148,6 @@ def test_arm_refused_after_stop_is_not_retried(running: RunningPlane, bench: Ben
         bench.arm()
     assert caught.value.refusal is Refusal.STOPPED
     assert running.service.requests == [Request.ARM]
-
-
-def test_arm_venting_timeout_reports_reason_and_action(
-    running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bench.take_lease("Ann")
-    running.service.state, running.service.vents = State.READY, 1000
-    with pytest.raises(CommandRefused) as caught:
-        bench.arm(retry_timeout=0.2)
-    assert caught.value.found == "refused in state READY: the chambers are not verified empty yet"
-    assert caught.value.action == "Wait, then retry."
-
-
-def test_reset_moving_robot_timeout_reports_reason_and_action(
-    running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bench.take_lease("Ann")
-    running.service.sways = 1000
-    with pytest.raises(CommandRefused) as caught:
-        bench.reset(retry_timeout=0.2)
-    assert caught.value.found == "refused in state ESTOP: a joint still moves"
-    assert caught.value.action == "Wait until the robot rests, then retry."
 
 
 def test_command_refused_reports_state_reason_and_expected_state(bench: BenchClient) -> None:

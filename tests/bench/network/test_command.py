@@ -11,19 +11,13 @@ from hypothesis import strategies as st
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import NEEDS_LEASE, Cause, Refusal, Request, State
+from bench.network.bench_service import CommandAnswer
 from bench.network.command import (
     FORMS,
     MAX_COMMAND_BYTES,
     PLAIN,
     REQUESTS,
-    Command,
-    CommandAnswer,
-    Correct,
-    Keyed,
-    Plain,
-    ReleaseLease,
-    RenewLease,
-    TakeLease,
+    ParsedCommand,
     Verb,
     encode_answer,
     encode_command,
@@ -47,13 +41,13 @@ def refused(verb: str, payload: bytes | str) -> BenchError:
 
 @pytest.mark.parametrize("verb", sorted(PLAIN))
 def test_parse_command_plain_verb_rejects_key(verb: Verb) -> None:
-    assert parse_command(verb, b'{"version": 1}') == Plain(verb)
+    assert parse_command(verb, b'{"version": 1}') == ParsedCommand(verb)
     assert "an unknown key" in refused(verb, KEYED).found
 
 
 @pytest.mark.parametrize("verb", sorted(REQUESTS.keys() - PLAIN))
 def test_parse_command_motion_verb_requires_key_and_sequence(verb: Verb) -> None:
-    assert parse_command(verb, KEYED.encode()) == Keyed(verb, KEY, 1)
+    assert parse_command(verb, KEYED.encode()) == ParsedCommand(verb, KEY, 1)
     assert refused(verb, '{"version": 1}').found == "missing"
 
 
@@ -69,8 +63,12 @@ def correct(**values: Any) -> bytes:
 
 
 def test_parse_command_correct_returns_profile_and_weights() -> None:
-    assert parse_command("correct", correct()) == Correct(KEY, 1, "0123456789abcdef", (0.5,))
-    assert parse_command("correct", correct(weights=[])) == Correct(KEY, 1, "0123456789abcdef", ())
+    assert parse_command("correct", correct()) == ParsedCommand(
+        "correct", KEY, 1, profile="0123456789abcdef", weights=(0.5,)
+    )
+    assert parse_command("correct", correct(weights=[])) == ParsedCommand(
+        "correct", KEY, 1, profile="0123456789abcdef"
+    )
     most = correct(weights=[-1.2345678901234567] * MAX_WEIGHTS)
     assert len(most) <= MAX_COMMAND_BYTES
     assert len(parse_command("correct", most).weights) == MAX_WEIGHTS  # type: ignore[union-attr]
@@ -90,13 +88,13 @@ def test_parse_command_correct_invalid_profile_is_rejected(profile: Any) -> None
 
 def test_parse_command_lease_accepts_take_renew_release() -> None:
     take = encode_command(Verb.LEASE, action="take", holder="Ann")
-    assert parse_command("lease", take) == TakeLease("Ann", 30.0)
+    assert parse_command("lease", take) == ParsedCommand("lease take", holder="Ann", seconds=30.0)
     take = encode_command(Verb.LEASE, action="take", holder="Ann", seconds=60)
-    assert parse_command("lease", take) == TakeLease("Ann", 60)
+    assert parse_command("lease", take) == ParsedCommand("lease take", holder="Ann", seconds=60)
     renew = encode_command(Verb.LEASE, action="renew", key=KEY, sequence=2, seconds=12.5)
-    assert parse_command("lease", renew) == RenewLease(KEY, 2, 12.5)
+    assert parse_command("lease", renew) == ParsedCommand("lease renew", KEY, 2, seconds=12.5)
     release = encode_command(Verb.LEASE, action="release", key=KEY, sequence=3)
-    assert parse_command("lease", release) == ReleaseLease(KEY, 3)
+    assert parse_command("lease", release) == ParsedCommand("lease release", KEY, 3)
 
 
 def test_parse_command_unknown_verb_error_lists_known_verbs() -> None:
@@ -183,7 +181,7 @@ OBJECTS = st.dictionaries(st.sampled_from(NAMES) | st.text(max_size=9), VALUES, 
 VERBS = st.sampled_from(sorted(Verb)) | st.text()
 
 
-def parsed(verb: str, payload: bytes) -> Command | BenchError:
+def parsed(verb: str, payload: bytes) -> ParsedCommand | BenchError:
     """Return the command or error; any other exception fails the test."""
     try:
         return parse_command(verb, payload)

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from typing import Any
 
 import pytest
@@ -16,11 +17,11 @@ import zenoh
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Request, State
+from bench.network.bench_service import CommandAnswer
 from bench.network.command import (
     CONVENIENCE,
     MAX_COMMAND_BYTES,
     REQUESTS,
-    CommandAnswer,
     Verb,
     encode_command,
     parse_answer,
@@ -261,7 +262,7 @@ def test_command_plane_repeated_or_older_sequence_is_refused(bench: RunningPlane
 def test_command_plane_restart_voids_lease(asker: Asker, bench: RunningPlane) -> None:
     key = asker.take()
     bench.plane.close()
-    with CommandPlane(bench.session, "bench1", bench.service):
+    with closing(CommandPlane(bench.session, "bench1", bench.service)):
         wait_until(lambda: asker.send("status", encode_command(Verb.STATUS))() is not None)
         assert not asker.ask_keyed("reset", key).accepted
 

@@ -17,7 +17,7 @@ from urllib.request import urlopen
 import psutil
 import pytest
 
-from bench.network.free_port import free_port
+from bench.base.address import free_port
 from tests.bench.certified import Folder
 from tests.running_bench import running_bench, write_configuration
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError, ExitCode
 from bench.commands.cli import main
 from bench.config import Configuration, NetworkSettings
 from bench.network.client import BenchClient
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer, open_client, open_daemon
 from tests.bench.certified import Folder, bench_of, client_of
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, running_plane

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bench.base.clock import FreeClock
 from bench.control.step_records import ControlParameters
-from bench.loop.loop import Cycle, Loop
+from bench.loop.loop import Loop
 from sim.driver import SimDriver
 from sim.plant import Plant
 
@@ -16,8 +16,8 @@ class DriverLoop(Loop):
     """Made and run as `bench.simulation.lockstep.Lockstep`."""
 
     def __init__(self, plant: Plant, parameters: ControlParameters, angle: NDArray[np.float64]) -> None:
-        self.driver = driver = SimDriver(plant, angle)
+        driver = SimDriver(plant, angle)
         driver.open()
-        cycle = Cycle(driver, parameters, lambda _: None, name="sim", note_truth=driver.note_truth)
-        super().__init__(cycle, FreeClock(plant.parameters.tick))
+        clock = FreeClock(plant.parameters.tick)
+        super().__init__(driver, parameters, clock, name="sim", note_truth=driver.note_truth)
         self.plant, self.plant_state = plant, driver.plant_state

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import Refused
-from bench.supervisor.loop_process import WARM_UP, LoopProcess, ThreadUsage, UsageReader, stall_between
+from bench.supervisor.loop_process import WARM_UP, LoopProcess, ThreadUsage, stall_between, usage_reader
 from bench.supervisor.timing_record import STAMPS, Stall
 
 MS = 1_000_000
@@ -39,15 +39,14 @@ def test_stall_between_without_wait_time_names_preemption() -> None:
 
 
 def test_usage_reader_counts_page_faults_of_thread() -> None:
-    with UsageReader() as reader, mmap.mmap(-1, 64 * mmap.PAGESIZE) as fresh:
-        before = reader.read()
+    with usage_reader() as read, mmap.mmap(-1, 64 * mmap.PAGESIZE) as fresh:
+        before = read()
         for page in range(64):
             fresh[page * mmap.PAGESIZE] = 1
         time.sleep(0.001)
-        after = reader.read()
+        after = read()
     assert after.page_faults > before.page_faults
     assert after.waited >= before.waited
-    reader.close()
 
 
 PERIOD_NS = 1_000_000

@@ -20,13 +20,13 @@ import psutil
 import pytest
 import zenoh
 
+from bench.base.address import free_port
 from bench.base.lifecycle import State
 from bench.config import NetworkSettings
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_client, open_daemon
 from bench.records.telemetry.batches import Batch, decode_batch
 from bench.records.telemetry.ring import RingWriter
-from bench.supervisor.child_process import HEARTBEAT, Condition
+from bench.supervisor.child_process import HEARTBEAT, Condition, heartbeat_file
 from bench.supervisor.publisher import Publisher, PublisherPlan
 from bench.supervisor.tick_timing import TickTiming, create_timing
 from drivers.base.shared_record import SharedRecord
@@ -65,7 +65,7 @@ class Bench:
         self.network = NetworkSettings(f"tcp/127.0.0.1:{free_port()}")
         self.writer = RingWriter(folder / "ring", capacity)
         self.timing: TickTiming = create_timing(folder / "timing", 1_000_000)
-        self.heart = SharedRecord.create(folder / "heart", HEARTBEAT)
+        self.heart = SharedRecord.create(heartbeat_file(folder, "publisher"), HEARTBEAT)
         self.processes: list[subprocess.Popen[bytes]] = []
         self.sessions: list[zenoh.Session] = []
 
@@ -101,9 +101,7 @@ class Bench:
 
     @property
     def plan(self) -> PublisherPlan:
-        return PublisherPlan(
-            "b1", self.network, self.folder / "ring", self.folder / "timing", self.folder / "heart"
-        )
+        return PublisherPlan("b1", self.network, self.folder)
 
     def start(self) -> subprocess.Popen[bytes]:
         process = self.start_anyhow()
@@ -391,12 +389,7 @@ def test_publisher_supervisor_killed_ends(bench: Bench) -> None:
         "import subprocess, sys\nc = subprocess.Popen([sys.executable, '-m', 'bench.supervisor.publisher'])"
     )
     supervisor = bench.run("-c", f"{program}\nc.wait()")
-    send(
-        supervisor,
-        PublisherPlan(
-            "b1", bench.network, bench.folder / "ring", bench.folder / "timing", bench.folder / "heart"
-        ),
-    )
+    send(supervisor, bench.plan)
     assert event(supervisor)["event"] == "ready"
     supervisor.kill()
     assert event(supervisor)["event"] == "ended"  # the pipe is the publisher's too

@@ -27,9 +27,9 @@ from bench.calibration.calibration import (
 from bench.commands.bench.status_table import status_table
 from bench.commands.cli import main
 from bench.config import Configuration, database_url, load_configuration
-from bench.network.bench_service import Reply
+from bench.network.bench_service import CommandAnswer
 from bench.network.client import CommandRefused
-from bench.network.command import CommandAnswer, Verb
+from bench.network.command import Verb
 from bench.network.status_words import ARMING_BLOCKED
 from bench.store.database import open_database
 from bench.supervisor.daemon import Daemon
@@ -286,9 +286,9 @@ class AcceptingLink:
     def __init__(self) -> None:
         self.asked: list[Request] = []
 
-    def request(self, request: Request) -> Reply:
+    def request(self, request: Request) -> CommandAnswer:
         self.asked.append(request)
-        return Reply(True, self.state)
+        return CommandAnswer(True, self.state)
 
     def beat(self, **_: Any) -> None:
         """Take a heartbeat."""

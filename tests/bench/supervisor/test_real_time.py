@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 
 from bench.base.errors import ExitCode, Refused
+from bench.network.bench_service import SettingStatus
 from bench.supervisor import real_time as module
-from bench.supervisor.real_time import RealTime, Setting, limit_action, real_time
+from bench.supervisor.real_time import limit_action, real_time
 from tests.bench.supervisor.own_process import printed_json
 
 pytestmark = pytest.mark.live
@@ -65,7 +66,7 @@ def tried() -> dict[str, Any]:
                 os._exit(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)
             of_child = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         print(json.dumps(dict(before=before, inside=inside, after=look(), child=of_child,
-                              granted=granted.as_json(), core={core})))
+                              granted=granted, core={core})))
     """)
     return found
 
@@ -101,7 +102,7 @@ def test_real_time_json_gives_reason_for_each_setting_not_held(tried: dict[str, 
     assert granted["mode"] == "prefer"
     assert granted["held"] == all(s["held"] for s in granted["settings"].values() if s["required"])
     for name, setting in granted["settings"].items():
-        assert set(setting) == set(Setting._fields)
+        assert set(setting) == set(SettingStatus.__annotations__)
         assert setting["name"] == name
         assert bool(setting["reason"]) == bool(setting["action"]) == (not setting["held"])
 
@@ -111,7 +112,7 @@ def test_real_time_off_changes_nothing() -> None:
         before = look()
         with real_time("off", priority=7, cpu=0) as granted:
             inside = look()
-        print(json.dumps(dict(before=before, inside=inside, granted=granted.as_json())))
+        print(json.dumps(dict(before=before, inside=inside, granted=granted)))
     """)
     assert found["inside"] == found["before"]
     assert not found["granted"]["held"]
@@ -124,7 +125,7 @@ def test_real_time_prefer_without_privileges_reports_not_held() -> None:
     found = _in_a_process(
         """
         with real_time("prefer", priority=7) as granted:
-            print(json.dumps(granted.as_json()))
+            print(json.dumps(granted))
         """,
         WITHOUT_PRIVILEGES,
     )
@@ -187,18 +188,12 @@ def test_real_time_call_without_effect_is_not_held(monkeypatch: pytest.MonkeyPat
     _Calls(monkeypatch)
     with real_time("prefer", priority=7, cpu=1) as granted:
         pass
-    required = {setting.name: setting for setting in granted.settings if setting.required}
-    assert {setting.reason for setting in required.values()} == {"not in force after the call"}
-    assert granted.lacking == tuple(required.values())
+    required = {name: setting for name, setting in granted["settings"].items() if setting["required"]}
+    assert {setting["reason"] for setting in required.values()} == {"not in force after the call"}
+    assert not granted["held"]
     with pytest.raises(Refused) as refused, real_time("require", priority=7, cpu=1):
         pass
     assert all(name in str(refused.value) for name in required)
-
-
-def test_real_time_off_lacks_no_setting() -> None:
-    setting = Setting("scheduling", "nothing", "OTHER 0", False, "not asked", "", True)
-    assert RealTime("off", (setting,)).lacking == ()
-    assert RealTime("prefer", (setting,)).lacking == (setting,)
 
 
 def test_limit_action_names_user_service_and_container() -> None:

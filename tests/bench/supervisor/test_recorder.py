@@ -364,11 +364,12 @@ def test_recorder_supervisor_killed_records_until_loop_ends(bench: Bench, day: M
     assert metadata["outcome"]["cause"] == "SUPERVISOR"
 
 
-def test_recorder_missing_ring_reports_failed(bench: Bench, tmp_path: Path) -> None:
-    bench.start_anyhow(ring=tmp_path / "absent")
+def test_recorder_missing_ring_reports_failed(bench: Bench) -> None:
+    (bench.folder / "ring").unlink()
+    bench.start_anyhow()
     told = bench.event()
     assert (told["event"], told["exit_code"]) == ("failed", 69)
-    assert str(tmp_path / "absent") in told["location"]
+    assert str(bench.folder / "ring") in told["location"]
     assert bench.recorder is not None
     assert bench.recorder.wait(HURRY) == 69
 

@@ -20,7 +20,7 @@ class Nursery:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.syspath_prepend(str(folder))
         (folder / "sleeper.py").write_text(SLEEP)
-        self.path = folder / "heart"
+        self.folder = folder
         self.children: list[Child] = []
 
     def start(self) -> Child:
@@ -38,7 +38,7 @@ def nursery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Nursery
 
 @pytest.fixture
 def supporter(nursery: Nursery) -> Iterator[ManagedProcess]:
-    made = ManagedProcess("sleeper", nursery.path, nursery.start)
+    made = ManagedProcess("sleeper", nursery.folder, nursery.start)
     yield made
     for child in nursery.children:
         child.kill()
@@ -47,7 +47,7 @@ def supporter(nursery: Nursery) -> Iterator[ManagedProcess]:
 
 @pytest.fixture
 def beat(supporter: ManagedProcess, nursery: Nursery) -> Iterator[Callable[[float, Condition], None]]:
-    heart = HeartbeatSender(nursery.path)
+    heart = HeartbeatSender(nursery.folder, "sleeper")
     yield heart.beat
     heart.close()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -203,12 +204,12 @@ def test_tick_timing_without_jit_counts_equally() -> None:
 @pytest.mark.live
 def test_timing_reader_in_other_process_reads_counts(tmp_path: Path) -> None:
     path = tmp_path / "timing"
-    with create_timing(path, PERIOD) as timing, TimingReader(path) as reader:
+    with closing(create_timing(path, PERIOD)) as timing, closing(TimingReader(path)) as reader:
         assert reader.snapshot()["ticks"][0] == 0
         program = (
             "import sys, json; from pathlib import Path\n"
             "from bench.supervisor.timing_record import TimingReader, summary\n"
-            "with TimingReader(Path(sys.argv[1])) as reader: print(json.dumps(summary(reader.snapshot())))"
+            "print(json.dumps(summary(TimingReader(Path(sys.argv[1])).snapshot())))"
         )
         for k in range(1, 11):
             timing.note(stamps_of([2000] * 6, k * PERIOD), k * PERIOD, k * PERIOD)
@@ -222,7 +223,7 @@ def test_timing_reader_in_other_process_reads_counts(tmp_path: Path) -> None:
 
 def test_timing_reader_snapshot_is_constant_and_read_only(tmp_path: Path) -> None:
     path = tmp_path / "timing"
-    with create_timing(path, PERIOD) as timing, TimingReader(path) as reader:
+    with closing(create_timing(path, PERIOD)) as timing, closing(TimingReader(path)) as reader:
         snapshot = reader.snapshot()
         timing.note(stamps_of([5] * 6, PERIOD), PERIOD, PERIOD)
         assert snapshot["ticks"][0] == 0
@@ -250,7 +251,10 @@ def test_timing_file_missing_or_existing_is_refused(tmp_path: Path) -> None:
         TimingReader(tmp_path / "timing")
     with pytest.raises(SharedMemoryError, match="No such file"):
         create_timing(tmp_path / "nowhere" / "timing", PERIOD)
-    with create_timing(tmp_path / "timing", PERIOD), pytest.raises(SharedMemoryError, match="File exists"):
+    with (
+        closing(create_timing(tmp_path / "timing", PERIOD)),
+        pytest.raises(SharedMemoryError, match="File exists"),
+    ):
         create_timing(tmp_path / "timing", PERIOD)
 
 

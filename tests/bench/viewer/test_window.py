@@ -17,8 +17,8 @@ import psutil
 import pytest
 import rerun as rr
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError
-from bench.network.free_port import free_port
 from bench.viewer import window as window_module
 from bench.viewer.blueprint import live_blueprint
 from bench.viewer.scene import log_static_scene

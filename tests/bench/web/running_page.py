@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from bench.base.address import free_port
 from bench.config import Configuration
-from bench.network.free_port import free_port
 from bench.web.page_access import PageAddress
 from bench.web.page_server import serve_page
 

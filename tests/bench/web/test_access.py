@@ -10,8 +10,8 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError, Refused
-from bench.network.free_port import free_port
 from bench.web import page_service
 from bench.web.page_access import (
     MAX_SESSIONS,

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
+from bench.base.address import free_port
 from bench.base.lifecycle import Request, State
 from bench.config import Configuration
-from bench.network.free_port import free_port
 from bench.network.lease import MIN_SECONDS
 from bench.web import page_service
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane

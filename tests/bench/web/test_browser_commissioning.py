@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from bench.base.address import free_port
 from bench.commissioning.commissioning import STEPS, commissioning_process, read_state
-from bench.network.free_port import free_port
 from tests.bench.web.browser_tab import open_tab
 from tests.bench.web.day_at_page import OPERATOR, VIEWER, page_beside, sign_in_idle, write_day
 from tests.running_bench import write_configuration

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from bench.network.free_port import free_port
+from bench.base.address import free_port
 from tests.bench.web.browser_tab import open_tab
 from tests.bench.web.day_at_page import (
     OPERATOR,

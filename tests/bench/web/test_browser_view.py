@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bench.network.free_port import free_port
+from bench.base.address import free_port
 from tests.bench.web.browser_tab import listens, open_tab
 from tests.running_bench import command_beside, running_bench, write_configuration
 

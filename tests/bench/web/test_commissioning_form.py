@@ -17,10 +17,10 @@ from typing import Any
 
 import pytest
 
+from bench.base.address import free_port
 from bench.base.errors import Refused
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, FaultRecord, folder_lock
 from bench.config import Configuration
-from bench.network.free_port import free_port
 from bench.web.commissioning_service import CommissioningStore
 from bench.web.page_access import PageAddress
 from tests.bench.web.noting_program import NotingProgram

@@ -18,9 +18,9 @@ from typing import Any
 
 import pytest
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError, Refused
 from bench.config import Configuration
-from bench.network.free_port import free_port
 from bench.web import command_line
 from bench.web.answers import InvalidBody
 from bench.web.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of

@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bench.base.address import free_port
 from bench.base.errors import BenchError, Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.campaign.plan.plan import CampaignPlan
@@ -38,7 +39,6 @@ from bench.commands.campaign.campaign_screen import campaign_bar
 from bench.commands.campaign.demo.bench_process import BenchPlan
 from bench.config import Configuration, database_url
 from bench.network.client import BenchClient
-from bench.network.free_port import free_port
 from bench.records.shot.recorded_shot import read_shot
 from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
 from bench.store.campaigns import CampaignStore

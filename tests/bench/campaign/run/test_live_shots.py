@@ -38,9 +38,9 @@ from bench.campaign.run.runner import BlockingCondition, Suspended, Watcher
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
 from bench.config import database_url, load_configuration
 from bench.learning.store import learned_swings
-from bench.network.bench_service import ArmingBlock
+from bench.network.bench_service import ArmingBlock, CommandAnswer
 from bench.network.client import CommandRefused
-from bench.network.command import CommandAnswer, Verb
+from bench.network.command import Verb
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import ShotPublication, launch_to_json, shot_publication
 from bench.records.telemetry.recorder import SwingRecord, read_swing

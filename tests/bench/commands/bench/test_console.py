@@ -26,7 +26,7 @@ from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.input.base import PipeInput
 from prompt_toolkit.output import DummyOutput
 
-from bench.base.address import BenchAddress, load_address
+from bench.base.address import BenchAddress, free_port, load_address
 from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import Phase, Request, State
 from bench.commands.bench import console
@@ -36,7 +36,6 @@ from bench.commands.bench.console_terminal import CommandTerminal, count_stops
 from bench.commands.cli import command_line, main
 from bench.commands.common.session import Session
 from bench.network.client import BenchClient
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.running_bench import running_bench, write_configuration

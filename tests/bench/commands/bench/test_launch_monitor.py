@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 import zenoh
 
+from bench.base.address import free_port
 from bench.network.client import CommandRefused
-from bench.network.free_port import free_port
 from bench.records.shot.shot_message import ShotPublication, read_shot_message
 from bench.records.telemetry.recorder import read_swing
 from drivers.base import Launch
@@ -111,7 +111,8 @@ def test_launch_monitor_simulated_shots_have_expected_outcomes(tmp_path: Path) -
             assert 1.2 < shot["ball_speed_mps"] / shot["club_speed_mps"] < 1.55
             assert cycles["plant_head_speed"].max() == pytest.approx(shot["club_speed_mps"], rel=0.05)
 
-            bench.client.wait_for("ARMED", phase="HOLD")
+            bench.client.wait_for("ARMED")
+            bench.client.wait_until_armed()
             bench.client.tee()
             bench.swing()
             told = following()  # dropped
@@ -120,7 +121,8 @@ def test_launch_monitor_simulated_shots_have_expected_outcomes(tmp_path: Path) -
             assert told["shot"]["status"] == "excluded"
             assert Path(told["record"]).exists()
 
-            bench.client.wait_for("ARMED", phase="HOLD")
+            bench.client.wait_for("ARMED")
+            bench.client.wait_until_armed()
             bench.swing()  # nothing on the tee
             assert following()["reason"] == "no ball struck"
             outcomes = monitored(bench, lambda link: sum(link["outcomes"].values()) == 3)["outcomes"]

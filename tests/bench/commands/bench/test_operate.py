@@ -18,13 +18,13 @@ from typing import NamedTuple, cast
 import pytest
 from rich.console import Console
 
+from bench.base.address import free_port
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import Cause, Request, State
 from bench.commands.bench.status_table import status_table
 from bench.commands.cli import main
-from bench.network.bench_service import LaunchMonitorStatus, Reply
+from bench.network.bench_service import CommandAnswer, LaunchMonitorStatus
 from bench.network.client import REST
-from bench.network.free_port import free_port
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.supervisor.status import NO_LAUNCH_MONITOR
@@ -196,9 +196,9 @@ def test_stop_command_moving_robot_prints_final_state(running: RunningPlane, gol
     service = running.service
     service.state = State.HOMING
 
-    def stop() -> Reply:
+    def stop(request: Request) -> CommandAnswer:
         threading.Timer(0.3, setattr, (service, "state", State.FAULT)).start()
-        return Reply(True, State.HOMING.name)
+        return CommandAnswer(True, State.HOMING.name)
 
     service.stop = stop  # type: ignore[method-assign]
     code, out, _ = golfbench("stop")
@@ -228,7 +228,7 @@ def test_arm_wait_fault_ends_wait(running: RunningPlane, golfbench: Golfbench) -
     def fail_once_armed() -> None:
         while running.service.state is not State.ARMED:
             time.sleep(0.01)
-        running.service.stop()
+        running.service.stop(Request.STOP)
 
     fault = threading.Thread(target=fail_once_armed)
     fault.start()

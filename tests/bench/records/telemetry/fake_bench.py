@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import zenoh
 
+from bench.base.address import free_port
 from bench.config import NetworkSettings
-from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_daemon
 from bench.records.telemetry.batches import encode_batch
 

@@ -175,7 +175,7 @@ def test_read_profile_invalid_entry_is_refused(profile: Profile) -> None:
 def test_run_metadata_entries_without_json_form_raise_error(profile: Profile) -> None:
     for bad in (float("nan"), object()):
         with pytest.raises(BenchError, match="metadata of records"):
-            run_entries(profile, configuration={"x": bad})
-    entries = run_entries(profile, configuration={"x": (1, 2)}, calibrations={"club": 1})
+            run_entries({"x": bad}, profile)
+    entries = run_entries({"configuration": {"x": (1, 2)}, "calibrations": {"club": 1}}, profile)
     assert entries["configuration"] == {"x": [1, 2]}
     assert entries["profile"]["name"] == profile.name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bench.base.text_encoding import encoding_of
+from bench.base.from_toml import encoding_of
 
 
 @pytest.mark.parametrize("codec", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])
