@@ -7,6 +7,7 @@ and meaning.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from math import hypot, pi
@@ -33,6 +34,29 @@ Delivered = Literal[
     "strike_y_mm",
 ]
 """Figures of the delivery that can be covariates."""
+NAMES: Mapping[str, str] = {
+    "club_speed_mps": "club speed",
+    "attack_angle_deg": "attack angle",
+    "club_path_deg": "club path",
+    "face_angle_deg": "face angle",
+    "dynamic_loft_deg": "dynamic loft",
+    "strike_x_mm": "strike heel to toe",
+    "strike_y_mm": "strike low to high",
+    "ball_speed_mps": "ball speed",
+    "launch_angle_deg": "launch angle",
+    "launch_angle": "launch angle",
+    "spin_rpm": "spin",
+    "carry_m": "carry",
+    "carry_side_m": "offline",
+    "total_m": "total distance",
+    "apex_m": "apex",
+    "landing_angle_deg": "landing angle",
+    "landing_angle": "landing angle",
+    "air_temperature_k": "air temperature",
+    "air_pressure_pa": "air pressure",
+    "relative_humidity": "air humidity",
+}
+"""Names of the columns of the shot table and of the quantities in sentences."""
 
 
 @dataclass(frozen=True)
@@ -353,6 +377,12 @@ class CampaignPlan:
     def ball_names(self) -> tuple[str, ...]:
         """All balls that are hit, the control ball last when it is not compared."""
         return tuple(dict.fromkeys((*self.design.balls, *filter(None, (self.control.ball,)))))
+
+    @property
+    def column(self) -> str:
+        """Column of the shot table with the compared quantity."""
+        quantity = self.analysis.quantity
+        return f"{quantity}_deg" if quantity in {"launch_angle", "landing_angle"} else quantity
 
     def profile(self, swing: str, club: str) -> str:
         """Return the profile, a name or a path, that `club` swings as `swing`."""

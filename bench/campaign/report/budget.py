@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from bench.campaign.plan.plan import CampaignPlan, StatedCalibration, levels
+from bench.campaign.plan.plan import NAMES, CampaignPlan, StatedCalibration, levels
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import COVERAGE
 from bench.campaign.statistics.analysis import mean_error
@@ -34,14 +34,6 @@ _FLOWN = frozenset({"reference", "measured", "simulated"})
 _LAUNCH = {"ball_speed_mps": 0.1, "launch_angle": 0.1, "spin_rpm": 20.0}
 _AIR = {"air_temperature_k": 0.5, "air_pressure_pa": 100.0, "relative_humidity": 0.05}
 """Inputs of a flight with the step of the derivative."""
-_INPUTS = {
-    "ball_speed_mps": "ball speed",
-    "launch_angle": "launch angle",
-    "spin_rpm": "spin",
-    "air_temperature_k": "temperature of the air",
-    "air_pressure_pa": "pressure of the air",
-    "relative_humidity": "humidity of the air",
-}
 
 
 @dataclass(frozen=True)
@@ -226,7 +218,7 @@ def _flown(plan: CampaignPlan, shots: Sequence[Shot]) -> Iterator[BudgetLine | s
         if not stated and name != "relative_humidity":
             yield f"no calibration states {name}"
         for u, dof, source in stated:
-            yield BudgetLine(_INPUTS[name], "B", source, name, u, slope, u * abs(slope), dof)
+            yield BudgetLine(NAMES[name], "B", source, name, u, slope, u * abs(slope), dof)
 
 
 def flight_slopes(shots: Sequence[Shot]) -> dict[str, float]:

@@ -13,10 +13,9 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 from scipy import optimize
 
-from bench.campaign.plan.plan import CampaignPlan, levels
+from bench.campaign.plan.plan import NAMES, CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role
 from bench.campaign.report.findings import (
-    QUANTITY_NAMES,
     DifferenceTable,
     Findings,
     SectionViews,
@@ -24,9 +23,8 @@ from bench.campaign.report.findings import (
     section_labels,
 )
 from bench.campaign.report.report_format import DisplayUnit, UnitSystem, display_unit
-from bench.campaign.report.verdicts import NAMES
 from bench.campaign.statistics.analysis import SectionAnalysis, values_of
-from bench.campaign.statistics.block_model import FIGURES, Array
+from bench.campaign.statistics.block_model import Array
 from bench.campaign.statistics.control_chart import ControlChart, DispersionEllipse
 from bench.records.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg
 from bench.records.shot.shot import Shot, ShotStatus
@@ -479,7 +477,6 @@ def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
     """The delivery over the campaign: valid and other shots."""
     figure = styled(2.4)
     grid: np.ndarray[Any, Any] = figure.subplots(2, 2, sharex=True)
-    names = {column: text for column, text, _, _ in FIGURES}
     keys = list(dict.fromkeys((s.swing, s.club) for s in shots))
     many = len(shots) > _MANY
     for axes, column in zip(grid.ravel(), _DELIVERY, strict=True):
@@ -489,7 +486,7 @@ def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
             for valid in (True, False):
                 some = [s for s in mine if (s.status is ShotStatus.VALID) is valid]
                 _points(axes, some, column, _look(index, many), unit, filled=valid)
-        axes.set(title=names[column], ylabel=unit.unit)
+        axes.set(title=NAMES[column].capitalize(), ylabel=unit.unit)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     for axes in grid[1]:
         axes.set_xlabel("shot")
@@ -532,7 +529,7 @@ def _control(views: SectionViews, units: UnitSystem, picture: str) -> Picture:
             rasterized=many,
         )
         _mark_signals(axes, chart, dict(zip(chart.shots, values, strict=True)))
-        axes.set(title=f"Control ball: {QUANTITY_NAMES[chart.column]}", ylabel=unit.unit)
+        axes.set(title=f"Control ball: {NAMES[chart.column]}", ylabel=unit.unit)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     grid[-1, 0].set_xlabel("shot")
     return _picture(

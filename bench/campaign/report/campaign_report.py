@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.campaign.interruptions import software_versions
 from bench.campaign.plan.carry import measured_of
-from bench.campaign.plan.plan import levels
+from bench.campaign.plan.plan import NAMES, levels
 from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.report.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.report.campaign_plots import campaign_figures
@@ -29,7 +29,6 @@ from bench.campaign.report.campaign_record import (
 from bench.campaign.report.conformity import DECISION_RULE
 from bench.campaign.report.findings import (
     QUANTITIES,
-    QUANTITY_NAMES,
     Findings,
     RankedLevel,
     SectionViews,
@@ -131,7 +130,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         figures=campaign_figures(plan, shots, found, units),
         marker=marker_svg,
         quantities=QUANTITIES,
-        quantity_names=QUANTITY_NAMES,
+        names=NAMES,
         places={name: place for place, name in enumerate(levels(plan))},
         ranked=[_ranked(*each) for each in zip(found.sections, found.views, strict=True)],
         labels=section_labels(plan),
@@ -193,7 +192,7 @@ def _lists(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[s
         "more_events": max(0, len(events) - _MAX_LINES),
         "handwork": handwork[:_MAX_LINES],
         "more_handwork": max(0, len(handwork) - _MAX_LINES),
-        "table": list(zip_longest(CLUB, BALL)),
+        "table": list(zip_longest(CLUB.items(), BALL.items())),
         "all_rows": len(record.shots) <= _ALL_ROWS,
         "listed": len(listed),
         "rows": [

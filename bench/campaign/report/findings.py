@@ -18,13 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.campaign.plan.plan import CampaignPlan, levels, reference_level
+from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, reference_level
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import RuleFinding, judge_rules
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.report.verdicts import Verdict, section_notes, section_verdicts
 from bench.campaign.statistics.analysis import (
-    COLUMN,
     Comparison,
     Level,
     Pair,
@@ -43,26 +42,11 @@ from bench.campaign.statistics.control_chart import (
 from bench.campaign.statistics.sample_size import SeriesSize, series_needed
 from bench.records.shot.shot import Shot, ShotStatus
 
-QUANTITIES: Mapping[str, str] = {
-    "ball_speed_mps": "ball speed",
-    "launch_angle_deg": "launch",
-    "spin_rpm": "spin",
-    "landing_angle_deg": "descent",
-    "apex_m": "apex",
-    "carry_m": "carry",
-    "total_m": "total",
-    "carry_side_m": "offline",
-}
-"""Columns of the shot table with their names in the table of all quantities."""
-
-QUANTITY_NAMES: Mapping[str, str] = {
-    **QUANTITIES,
-    "club_speed_mps": "club speed",
-    "launch_angle_deg": "launch angle",
-    "landing_angle_deg": "landing angle",
-    "total_m": "total distance",
-}
-"""Columns with their names where there is room."""
+QUANTITIES = (
+    *("ball_speed_mps", "launch_angle_deg", "spin_rpm", "landing_angle_deg"),
+    *("apex_m", "carry_m", "total_m", "carry_side_m"),
+)
+"""Columns of the table of all quantities."""
 
 
 @dataclass(frozen=True)
@@ -210,8 +194,7 @@ def not_compared(plan: CampaignPlan, tables: Sequence[DifferenceTable], quantity
                 "comparison with its own error level, and the plan compares nothing between columns."
             )
     if tables:
-        compared = COLUMN.get(plan.analysis.quantity, plan.analysis.quantity)
-        others = ", ".join(name for column, name in QUANTITIES.items() if column != compared)
+        others = ", ".join(NAMES[column] for column in QUANTITIES if column != plan.column)
         yield f"Other quantities ({others}) are described, not compared: the plan compares {quantity} only."
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
 from math import floor, isfinite, log10
-from typing import Any, NamedTuple, overload
+from typing import Any, overload
 
 import jinja2
 import numpy as np
@@ -128,36 +128,29 @@ def display_unit(quantity: str, units: UnitSystem = UnitSystem.SI) -> DisplayUni
     return (_US if units is UnitSystem.US else _SI)[quantity]
 
 
-class Quantity(NamedTuple):
-    """One measured figure as reports show it."""
-
-    name: str
-    column: str
-
-
-CLUB = (
-    Quantity("club", "club_speed_mps"),
-    Quantity("attack", "attack_angle_deg"),
-    Quantity("path", "club_path_deg"),
-    Quantity("face", "face_angle_deg"),
-    Quantity("loft", "dynamic_loft_deg"),
-    Quantity("strike x", "strike_x_mm"),
-    Quantity("strike y", "strike_y_mm"),
-)
-"""Delivery of a shot, the upper line in the table of shots."""
-BALL = (
-    Quantity("ball", "ball_speed_mps"),
-    Quantity("launch", "launch_angle_deg"),
-    Quantity("direction", "direction_deg"),
-    Quantity("spin", "spin_rpm"),
-    Quantity("spin axis", "spin_axis_deg"),
-    Quantity("carry", "carry_m"),
-    Quantity("offline", "carry_side_m"),
-    Quantity("total", "total_m"),
-    Quantity("apex", "apex_m"),
-    Quantity("landing", "landing_angle_deg"),
-)
-"""Launch and flight of a shot, the lower line."""
+CLUB = {
+    "club_speed_mps": "club",
+    "attack_angle_deg": "attack",
+    "club_path_deg": "path",
+    "face_angle_deg": "face",
+    "dynamic_loft_deg": "loft",
+    "strike_x_mm": "strike x",
+    "strike_y_mm": "strike y",
+}
+"""Short names of the columns of the delivery, the upper line in the table of shots."""
+BALL = {
+    "ball_speed_mps": "ball",
+    "launch_angle_deg": "launch",
+    "direction_deg": "direction",
+    "spin_rpm": "spin",
+    "spin_axis_deg": "spin axis",
+    "carry_m": "carry",
+    "carry_side_m": "offline",
+    "total_m": "total",
+    "apex_m": "apex",
+    "landing_angle_deg": "landing",
+}
+"""Short names of the columns of launch and flight, the lower line."""
 
 
 def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
@@ -175,9 +168,9 @@ def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = 
     return environment.get_template(name)
 
 
-def shot_figures(shot: Shot, quantities: Iterable[Quantity], units: UnitSystem) -> list[str]:
-    """Return the `quantities` of a shot as text."""
-    return [display_unit(q.column, units).text(getattr(shot, q.column)) for q in quantities]
+def shot_figures(shot: Shot, columns: Iterable[str], units: UnitSystem) -> list[str]:
+    """Return the `columns` of a shot as text."""
+    return [display_unit(column, units).text(getattr(shot, column)) for column in columns]
 
 
 def flat(configuration: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:

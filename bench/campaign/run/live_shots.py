@@ -26,11 +26,10 @@ from bench.campaign.plan.carry import Measured, ShotCarry, require_carry
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Step
-from bench.campaign.run.corrections import CorrectedProfiles, Drift
+from bench.campaign.run.corrections import CampaignCorrections, Drift
 from bench.campaign.run.plan_requirements import START_SERIES, Profiles, needs_series, series_words
-from bench.campaign.run.runner import BlockingCondition, ShotPostponed, Suspended
+from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Suspended, Taken
 from bench.campaign.run.simulated_shots import (
-    Taken,
     air_columns,
     ball_as_hit,
     monitored,
@@ -71,9 +70,6 @@ _AT_THE_ROBOT = {
 }
 """Refusals that a person at the robot can clear, and the actions."""
 NO_WORD = "the launch monitor's process did not report the swing"
-
-
-Events = tuple[tuple[str, str], ...]
 
 
 def require_live(
@@ -135,13 +131,13 @@ def _fits(
     return alike and profile.name == status["profile"]
 
 
-class LiveShots:
+class LiveShots(ShotSource):
     """The running bench as a campaign sees it; a context, which releases the lease at its end."""
 
     def __init__(
         self,
         plan: CampaignPlan,
-        swings: CorrectedProfiles,
+        swings: CampaignCorrections,
         clubs: Mapping[str, Club],
         client: BenchClient,
         holder: str,
@@ -238,8 +234,6 @@ class LiveShots:
             message = operator.message_about(record) if self._monitored else None
         return self._taken(step, number, sample, record, message)
 
-    # A person at the robot -------------------------------------------------------------------------
-
     def required_restart(self, step: Step) -> Preparation | None:
         """Return the restart of the bench that `step` requires; None if none."""
         with _suspending():
@@ -295,8 +289,6 @@ class LiveShots:
                     shown = action
                     ask(action)
             self._operator.pause()
-
-    # Moving the bench ------------------------------------------------------------------------------
 
     def _prepare(self, step: Step, status: BenchStatus) -> bool:
         """Prepare the swing at the address; return whether the robot still rests there.
@@ -366,8 +358,6 @@ class LiveShots:
         except SharedMemoryError:
             return False
         return True
-
-    # Results ---------------------------------------------------------------------------------------
 
     def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
         """Return a failed shot: no swing, or no record of it."""

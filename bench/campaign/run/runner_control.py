@@ -32,15 +32,15 @@ from bench.campaign.run.plan_requirements import (
     series_words,
     speed_sensitivities,
 )
-from bench.campaign.run.progress import CompositeWatcher, ProgressPublisher
-from bench.campaign.run.runner import BATCH, Operator, Runner, RunOutcome, ShotSource, Watcher
+from bench.campaign.run.progress import CampaignProgress
+from bench.campaign.run.runner import BATCH, Runner, RunOutcome
+from bench.campaign.run.shot_source import Operator, ShotSource, Watcher
 from bench.campaign.run.simulated_shots import SimulatedShots
 from bench.campaign.statistics.analysis import decide
 from bench.config import Configuration
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
 from bench.network.lease import MAX_HOLDER_LENGTH
-from bench.store.air_readings import newest_reading
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState
 from sim.air import Air
@@ -151,7 +151,7 @@ def run_campaign(
             stack.enter_context(bench_lock(data_dir, entry))
             client = stack.enter_context(BenchClient.connect(configuration))
             publish = stack.enter_context(client.publish_campaign(entry.id))
-            watcher = CompositeWatcher(watcher, ProgressPublisher(entry, plan, publish))
+            watcher = Watcher(watcher, CampaignProgress(entry, plan, publish))
             air = partial(_air_now, entry, plan, store)
             for warning in _warnings(plan, profiles, entry, store, client.status(), air()):
                 watcher.say(warning)
@@ -178,7 +178,7 @@ def run_campaign(
 def _air_now(entry: CampaignEntry, plan: CampaignPlan, store: CampaignStore) -> Air | None:
     """Return the air at the bench by its newest reading, None if that is too old."""
     since = datetime.now(UTC) - timedelta(seconds=plan.air.valid_for)
-    reading = newest_reading(store.database, entry.bench, since)
+    reading = store.newest_air(entry.bench, since)
     return None if reading is None else reading.air
 
 

@@ -6,12 +6,11 @@ where the server would have them from, at the times they would come.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from math import pi
-from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -19,9 +18,9 @@ import numpy as np
 
 from bench.campaign.plan.carry import Measured, ShotCarry
 from bench.campaign.plan.plan import CampaignPlan, Simulation
-from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Step
-from bench.campaign.run.corrections import CorrectedProfiles, Drift
+from bench.campaign.run.corrections import CampaignCorrections, Drift
+from bench.campaign.run.shot_source import ShotSource, Taken
 from bench.config import Configuration
 from bench.learning.learn import LearningProblem, Swinger, on_series
 from bench.records.shot.recorded_shot import FlightConditions
@@ -81,23 +80,6 @@ BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
 
 _SHOTS, _SAMPLES, _CARRIES = 1, 2, 3
 """Streams of random numbers."""
-
-
-class Taken(NamedTuple):
-    """A shot with its record."""
-
-    shot: Shot
-    cycles: np.ndarray[Any, Any] | None
-    """None if the robot did not swing."""
-    metadata: Mapping[str, Any]
-    struck: bool
-    """Whether the ball was hit, which wears it."""
-    events: tuple[tuple[str, str], ...] = ()
-    """(kind, text) of the events before it."""
-    stopped: bool = False
-    """Whether the robot was stopped within the swing."""
-    original: Path | None = None
-    """The bench's own record, which is moved to the campaign's folder."""
 
 
 def random_of(plan: CampaignPlan, number: int) -> np.random.Generator:
@@ -167,8 +149,8 @@ def step_columns(step: Step, number: int, sample: int) -> dict[str, Any]:
     }
 
 
-class SimulatedShots:
-    """The simulated bench as a campaign sees it."""
+class SimulatedShots(ShotSource):
+    """The simulated bench in lock-step; hindrances are part of its shots, and it swings every profile."""
 
     simulated = True
 
@@ -176,7 +158,7 @@ class SimulatedShots:
         self,
         plan: CampaignPlan,
         configuration: Configuration,
-        swings: CorrectedProfiles,
+        swings: CampaignCorrections,
         stop: Callable[[], bool],
         measured: Measured | None = None,
     ) -> None:
@@ -213,21 +195,6 @@ class SimulatedShots:
         text = self._swings.refresh(drift, number, robot, truth)
         self._armed.pop(drift.arm, None)
         return text
-
-    def hindrance(self, step: Step) -> None:
-        """Return None: hindrances are part of the simulated shot."""
-
-    def rest(self) -> None:
-        """Nothing is to be done: its time stands still between two shots."""
-
-    def required_restart(self, step: Step) -> None:
-        """Return nothing: it swings every profile."""
-
-    def grant_access(self, kind: PromptKind) -> None:
-        """No action needed."""
-
-    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
-        """No action needed."""
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""

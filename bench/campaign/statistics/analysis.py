@@ -55,9 +55,6 @@ from bench.campaign.statistics.unequal_variances import (
 )
 from bench.records.shot.shot import Shot, ShotStatus
 
-COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
-"""Column of each quantity whose name lacks the unit."""
-
 OUTLIER = 3.5
 """Robust z (Iglewicz and Hoaglin 1993) from which a shot is flagged; it stays in the analysis."""
 
@@ -241,7 +238,7 @@ def _within(
 
 def values_of(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[list[Shot], Array]:
     """Return the valid shots that have the plan's quantity, and its values."""
-    column = COLUMN.get(plan.analysis.quantity, plan.analysis.quantity)
+    column = plan.column
     kept = [shot for shot in shots if shot.status is ShotStatus.VALID and getattr(shot, column) is not None]
     return kept, np.array([getattr(shot, column) for shot in kept], dtype=float)
 

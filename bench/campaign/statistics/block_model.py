@@ -29,13 +29,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf, isfinite, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special, stats
 
-from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan import CampaignPlan, Delivered
 from bench.records.shot.shot import Shot, ShotStatus
 
 Array = NDArray[np.float64]
@@ -235,18 +235,6 @@ def as_split_plot(plan: CampaignPlan) -> CampaignPlan | None:
     return None
 
 
-FIGURES = (
-    ("club_speed_mps", "Club speed", "m/s", 3),
-    ("attack_angle_deg", "Attack angle", "°", 3),
-    ("club_path_deg", "Club path", "°", 3),
-    ("face_angle_deg", "Face angle", "°", 3),
-    ("dynamic_loft_deg", "Dynamic loft (shaft lean)", "°", 3),
-    ("strike_x_mm", "Strike, heel–toe", "mm", 2),
-    ("strike_y_mm", "Strike, low–high", "mm", 2),
-)
-"""Column, name, unit and digits of each figure of the delivery."""
-
-
 @dataclass(frozen=True)
 class Scatter:
     """A standard deviation with its 95 % interval; NaN with too few shots."""
@@ -261,9 +249,6 @@ class Repeatability:
     """One figure of the delivery with one swing and club."""
 
     column: str
-    name: str
-    unit: str
-    digits: int
     n: int
     blocks: int
     mean: float
@@ -282,10 +267,11 @@ def repeatability(shots: Sequence[Shot]) -> dict[tuple[str, str], list[Repeatabi
     for shot in shots:
         if shot.status is ShotStatus.VALID and shot.block:
             groups.setdefault((shot.swing, shot.club), []).append(shot)
-    return {key: [r for row in FIGURES if (r := _figure(*row, mine))] for key, mine in groups.items()}
+    columns = get_args(Delivered)
+    return {key: [r for name in columns if (r := _figure(name, mine))] for key, mine in groups.items()}
 
 
-def _figure(column: str, name: str, unit: str, digits: int, shots: Sequence[Shot]) -> Repeatability | None:
+def _figure(column: str, shots: Sequence[Shot]) -> Repeatability | None:
     found = [(getattr(shot, column), shot.block) for shot in shots if getattr(shot, column) is not None]
     if not found:
         return None
@@ -297,9 +283,6 @@ def _figure(column: str, name: str, unit: str, digits: int, shots: Sequence[Shot
         within = successive_scatter(values)
     return Repeatability(
         column,
-        name,
-        unit,
-        digits,
         len(values),
         int(codes.max()) + 1,
         float(values.mean()),

@@ -101,6 +101,7 @@ def check(
 
     Exits with 2 and lists all mistakes; with 1 if a calibration blocks arming.
     """
+    from bench.campaign.report.preview import preview_record, show_preview
     from bench.campaign.run.plan_requirements import (
         START_SERIES,
         arming_problems,
@@ -109,7 +110,6 @@ def check(
         needs_series,
         needs_words,
     )
-    from bench.campaign.statistics.preview import preview_record, show_preview
 
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
@@ -354,8 +354,9 @@ def _take(
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
     from bench.campaign.plan.prompts import PromptKind
-    from bench.campaign.run.progress import CompositeWatcher, notifying
+    from bench.campaign.run.progress import notifying
     from bench.campaign.run.runner_control import run_campaign, run_start
+    from bench.campaign.run.shot_source import Watcher
     from bench.commands.campaign.campaign_runner_screen import CampaignScreen
     from bench.commands.campaign.campaign_screen import campaign_bar
     from bench.commands.campaign.campaign_terminal import TerminalOperator, mark_keys
@@ -369,10 +370,7 @@ def _take(
             notifying(file if entry.real_time else "", entry, screen.say) as notifier,
             mark_keys(bar, user_name(), lambda: screen.message, _marker(store, entry.id)) as keys,
         ):
-            watcher, operator = (
-                CompositeWatcher(screen, notifier),
-                TerminalOperator(bar, entry.id, asked_for, keys),
-            )
+            watcher, operator = Watcher(screen, notifier), TerminalOperator(bar, entry.id, asked_for, keys)
             return run_campaign(
                 entry, configuration, store, watcher, asked.is_made, operator, start, lambda: asked.cause
             )
@@ -684,7 +682,7 @@ def air(
 
     Shots on hardware use it from then on, for as long as the plan allows ([air] valid_for).
     """
-    from bench.store.air_readings import AirReading, add_reading, newest_reading
+    from bench.store.records import AirReading
     from sim.air import Air
 
     address = context.ensure_object(Session).address()
@@ -709,9 +707,10 @@ def air(
                     str(error),
                     "Correct the value of this reading.",
                 ) from None
-            reading = AirReading(datetime.now(UTC), read, by or user_name())
-            add_reading(store.database, bench, reading)
-        elif not (found := newest_reading(store.database, bench, datetime(1970, 1, 1, tzinfo=UTC))):
+            figures = read.temperature, read.pressure, read.relative_humidity
+            reading = AirReading(bench, datetime.now(UTC), *figures, by or user_name())
+            store.add_air(reading)
+        elif not (found := store.newest_air(bench, datetime(1970, 1, 1, tzinfo=UTC))):
             typer.echo("No reading of the air yet.")
             return
         else:

@@ -24,12 +24,12 @@ from bench.campaign.plan.shot_sequence import PlannedShot, Step, all_trials, sec
 from bench.campaign.report.campaign_record import CampaignRecord
 from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings, findings_record
+from bench.campaign.report.preview import outlook, outlook_words, show_preview
 from bench.campaign.run.plan_requirements import needs, needs_words
 from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner_control import new_entry
 from bench.campaign.statistics.analysis import SectionAnalysis, analyse
 from bench.campaign.statistics.block_model import as_split_plot, fully_randomised
-from bench.campaign.statistics.preview import outlook, outlook_words, show_preview
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignState, Standing

@@ -26,8 +26,8 @@ from bench.campaign.plan.shot_sequence import (
     hits_needed,
     sections,
 )
+from bench.campaign.report.preview import outlook, outlook_words, preview_record
 from bench.campaign.run.plan_requirements import require_swings
-from bench.campaign.statistics.preview import outlook, outlook_words, preview_record
 from bench.campaign.statistics.sample_size import blocks_needed, power_of_shift, same_power_of_error
 from bench.commands.cli import app
 from bench.config import Configuration, load_configuration

@@ -130,7 +130,7 @@ def test_campaign_report_first_page_has_verdict_for_each_club(three_by_two: Camp
         "4 balls, 4 shots",
         "different",
         "The interaction of ball and club was not tested",
-        "Other quantities (ball speed, launch, spin, descent, apex, total, offline)",
+        "Other quantities (ball speed, launch angle, spin, landing angle, apex, total distance, offline)",
     ):
         assert wanted in words, wanted
     assert first.count("<figure") == 1

@@ -13,7 +13,7 @@ import pytest
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import PlannedShot, all_trials
-from bench.campaign.run.progress import CampaignProgress, ProgressPublisher
+from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar, progress_lines, shot_line
 from bench.config import load_configuration
@@ -132,10 +132,10 @@ def test_progress_screen_piped_prints_plain_lines(
     assert "left, until " in told[0]
 
 
-def test_progress_publisher_sends_json_with_each_change(plan: CampaignPlan) -> None:
+def test_progress_sends_json_with_each_change(plan: CampaignPlan) -> None:
     sent: list[str] = []
     entry = new_entry(plan, CONFIGURATION, NOW, simulated=True, real_time={"driver": "sim"})
-    told = ProgressPublisher(entry, plan, lambda message: sent.append(json.dumps(message)))
+    told = CampaignProgress(entry, plan, lambda message: sent.append(json.dumps(message)))
     told.shot(_shot(all_trials(plan)[0], 1, 0.0))
     told.say("a word")
     told.standing(CampaignState.PAUSED, "paused by request of ann")

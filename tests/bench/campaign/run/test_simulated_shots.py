@@ -14,7 +14,8 @@ from bench.campaign.plan.plan import CampaignPlan, Simulation
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Step, all_trials
 from bench.campaign.run.plan_requirements import require_swings
-from bench.campaign.run.simulated_shots import MonitorResult, SimulatedShots, Taken, hear
+from bench.campaign.run.shot_source import Taken
+from bench.campaign.run.simulated_shots import MonitorResult, SimulatedShots, hear
 from bench.config import Configuration
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import UNREPORTED
