@@ -335,11 +335,8 @@ class Simulation:
     missing_launch: tuple[int, ...]
     missed_ball: tuple[int, ...]
     feeder_jam: tuple[int, ...]
-    feeder_empty: tuple[int, ...]
     wrong_ball: tuple[int, ...]
     guard_opened: tuple[int, ...]
-    low_supply: tuple[int, ...]
-    monitor_disconnected: tuple[int, ...]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
-from scipy import optimize
 
 from bench.campaign.plan.plan import NAMES, CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role
@@ -93,8 +92,6 @@ def _section_pictures(
     ]
     if len(landing.levels) > _FEW:
         results.append(_each(landing.levels, views, units, f"{name}e"))
-    if flights := [(level, found) for level, some in _by_level(plan, mine) if (found := mean_flight(some))]:
-        results.append(_trajectories(flights, levels(plan), units, f"{name}f"))
     return {
         "results": results,
         "drift": _drift(plan, mine, analysis, units, f"{name}t"),
@@ -130,7 +127,6 @@ _PAIRED = (
     {"launch_angle_deg": "launch angle", "spin_rpm": "spin"},
 )
 """Columns of shots that are drawn against each other, across and up, and their names."""
-_FLIGHT = ("launch_angle_deg", "direction_deg", "carry_m", "carry_side_m", "apex_m", "landing_angle_deg")
 
 
 def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
@@ -220,70 +216,6 @@ def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: boo
     title = landing.name or "Landing points from above"
     axes.set(title=title, xlabel=f"left  ←  offline, {distance.unit}  →  right")
     axes.set_ylabel(f"carry, {distance.unit}")
-
-
-class MeanFlight(NamedTuple):
-    """Mean values of a level's valid shots, from which a flight is drawn (m, rad)."""
-
-    launch_angle: float
-    direction: float
-    carry: float
-    side: float
-    apex: float
-    landing_angle: float
-
-    def side_view(self, x: Array) -> Array:
-        """Return the heights (n,) m at the distances `x` (n,) m, by a curve of fifth degree.
-
-        It begins and ends with the launch and landing angle, and its top is as high as the apex.
-        """
-        share = x / self.carry
-        rise, fall = self.carry * np.tan(self.launch_angle), self.carry * np.tan(self.landing_angle)
-        plain = share * (1.0 - share) * (rise + (fall - rise) * share)
-        # Neither end's slope knows of this part, which is largest where the ball is high.
-        swell = (share * (1.0 - share)) ** 2 * share
-        most = 64.0 * self.apex
-        part = optimize.brentq(lambda part: float((plain + part * swell).max()) - self.apex, -most, most)
-        return np.asarray(plain + part * swell)
-
-    def top_view(self, x: Array) -> Array:
-        """Return how far right (n,) m the ball is at the distances `x` (n,) m: a parabola."""
-        start, share = self.carry * np.tan(self.direction), x / self.carry
-        return np.asarray(start * share + (self.side - start) * share**2)
-
-
-def mean_flight(shots: Sequence[Shot]) -> MeanFlight | None:
-    """Return the mean flight of the valid ones of `shots`; None if a figure is missing."""
-    valid = [shot for shot in shots if shot.status is ShotStatus.VALID]
-    rows = [[getattr(shot, column) for column in _FLIGHT] for shot in valid]
-    if not (whole := [row for row in rows if None not in row]):
-        return None
-    mean = np.mean(np.array(whole, dtype=float), axis=0)
-    launch, direction, landing = np.radians(mean[[0, 1, 5]]).tolist()
-    carry, side, apex = mean[2:5].tolist()
-    return MeanFlight(launch, direction, carry, side, apex, landing)
-
-
-def _trajectories(
-    flights: Sequence[tuple[str, MeanFlight]], names: Sequence[str], units: UnitSystem, picture: str
-) -> Picture:
-    """The mean flights from the side and from above."""
-    figure, distance = styled(1.9), display_unit("carry_m", units)
-    side, above = figure.subplots(1, 2)
-    for name, flight in flights:
-        x, style = np.linspace(0.0, flight.carry, 200), {"color": colour_of(names.index(name)), "label": name}
-        side.plot(distance.of(x), distance.of(flight.side_view(x)), **style)
-        above.plot(distance.of(x), distance.of(flight.top_view(x)), **style)
-    along = f"distance, {distance.unit}"
-    side.set(title="Mean flight from the side", xlabel=along, ylabel=f"height, {distance.unit}")
-    above.set(title="and from above", xlabel=along, ylabel=f"right, {distance.unit}")
-    figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
-    return _picture(
-        figure,
-        picture,
-        "Mean flight of each level, from the side and from above.",
-        "Means of the valid shots, drawn through launch angle, apex, landing angle and carry.",
-    )
 
 
 def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Picture:

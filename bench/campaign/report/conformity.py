@@ -67,31 +67,22 @@ class RuleFinding:
     confidence: str
     source: str
 
-    @property
-    def words(self) -> str:
-        """The finding as one sentence without its source, in the rule's own unit."""
-        return self.words_in(None)
-
-    def words_in(self, units: UnitSystem | None) -> str:
-        """Return the finding as one sentence, in the rule's unit and, if given, the reader's `units`."""
+    def words_in(self, units: UnitSystem) -> str:
+        """Return the finding as one sentence, in the rule's unit and the reader's `units`; without source."""
         where = f"section {self.section} ({self.section_name}), " if self.section_name else ""
         head = f"{self.text} ({self.rule}): {where}{self.level}"
         if self.decision is Decision.NOT_JUDGED or self.value is None or self.uncertainty is None:
             return f"{head} – {self.decision}: {self.reason}."
         tail = f" {self.reason}." if self.reason else ""
-        mean, most, beside = (
-            f"{self.value:.1f} ± {self.uncertainty:.1f} {self.unit}",
-            f"{self.at_most:.1f}",
-            "",
-        )
-        if units is not None and (reader := display_unit(_LIKE[self.unit], units)).unit != self.unit:
+        mean, most, beside = f"{self.value:.1f} ± {self.uncertainty:.1f}", f"{self.at_most:.1f}", ""
+        if (reader := display_unit(_LIKE[self.unit], units)).unit != self.unit:
             size = UNITS_OF_RULES[self.unit] / reader.size
             beside = (
                 f" ({size * self.value:.1f} ± {size * self.uncertainty:.1f}, at most "
                 f"{size * self.at_most:.1f} {reader.unit})"
             )
         return (
-            f"{head}, {mean} (k = {self.coverage:.2f}), at most {most} {self.unit}{beside} – "
+            f"{head}, {mean} {self.unit} (k = {self.coverage:.2f}), at most {most} {self.unit}{beside} – "
             f"{self.decision}.{tail}"
         )
 

@@ -17,7 +17,7 @@ from bench.campaign.plan.gate import planned_delivery
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import plan_from_record
 from bench.campaign.plan.shot_sequence import Course, course
-from bench.campaign.run.campaign_control import bench_lock, require_free, runner_lock
+from bench.campaign.run.campaign_control import bench_lock, runner_lock
 from bench.campaign.run.corrections import CampaignCorrections
 from bench.campaign.run.live_shots import HOLDER, LiveShots, require_live
 from bench.campaign.run.plan_requirements import (
@@ -148,7 +148,7 @@ def run_campaign(
         if not live:
             source = SimulatedShots(plan, configuration, corrections, interrupted, measured)
         else:
-            stack.enter_context(bench_lock(data_dir, entry))
+            stack.enter_context(bench_lock(data_dir, entry.bench, entry.id))
             client = stack.enter_context(BenchClient.connect(configuration))
             publish = stack.enter_context(client.publish_campaign(entry.id))
             watcher = Watcher(watcher, CampaignProgress(entry, plan, publish))
@@ -214,7 +214,8 @@ def bench_facts(
         Refused: the bench cannot take them, or is held by another runner or person.
     """
     settings = configuration.bench
-    require_free(settings.data_dir, settings.id)
+    with bench_lock(settings.data_dir, settings.id):
+        pass
     require_live(plan, require_swings(plan, configuration), configuration.clubs, status, measured)
     facts = {name: status[name] for name in ("driver", "profile", "club", "series")}
     return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}

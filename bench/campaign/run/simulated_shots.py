@@ -202,12 +202,6 @@ class SimulatedShots(ShotSource):
         events = []
         if number in s.guard_opened:
             events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
-        if number in s.low_supply:
-            events.append(("supply", "supply pressure too low; waited until it was back"))
-        if number in s.monitor_disconnected:
-            events.append(
-                ("suspended", "no launch monitor was connected; continued automatically once one was")
-            )
         if fault := self._feeder_fault(arm.ball, number, sample):
             shot = self._shot(step, number, sample, None, ShotStatus.FAILED, fault)
             return Taken(shot, None, {}, False, tuple(events))
@@ -238,8 +232,6 @@ class SimulatedShots(ShotSource):
         s = self._plan.simulation
         if number in s.feeder_jam:
             return "feeder jam: no ball came"
-        if number in s.feeder_empty:
-            return "feeder empty: no ball came"
         if number in s.wrong_ball and self._plan.ball_handling.identify:
             return f"feeder: ball {ball} {sample + 1} came, {ball} {sample} was to come"
         return ""

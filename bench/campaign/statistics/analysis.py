@@ -243,9 +243,8 @@ def values_of(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[list[Shot], Ar
     return kept, np.array([getattr(shot, column) for shot in kept], dtype=float)
 
 
-class _Fit(NamedTuple):
-    fit: BlockFit
-    shots: list[Shot]
+_Fit = tuple[BlockFit, list[Shot]]
+"""A fitted model, and its shots."""
 
 
 class _Data(NamedTuple):
@@ -297,18 +296,6 @@ def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -
     )
 
 
-def _described(
-    plan: CampaignPlan, names: Sequence[str], pair: tuple[int, int, Contrast], hits: Codes, balls: Codes
-) -> _Described:
-    """Return a `pair` of levels with the fewest hits and balls of the two."""
-    one, two, contrast = pair
-    models = plan.design.compare == "ball"
-    fewest = int(min(balls[one], balls[two])) if models or plan.split else 0
-    return _Described(
-        names[one], names[two], contrast, int(min(hits[one], hits[two])), fewest, models and fewest > 1
-    )
-
-
 def _compared(
     plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str, alpha: float
 ) -> tuple[Comparison | None, _Fit | None]:
@@ -318,7 +305,7 @@ def _compared(
         return None, None
     count = len(names) + bool(controls)
     fit = data.fit(count)
-    kept = _Fit(fit, data.shots)
+    kept = fit, data.shots
     units = units_of(data.level, data.ball, count)
     if fit.dof < 1 or (plan.split and not enough_mountings(data.level, data.block, count)):
         return None, kept
@@ -334,7 +321,6 @@ def _compared(
     if not found and len(names) > 1:
         return None, kept
     joint = together(errors, [(one, two) for one, two, _ in found], fit.dof)
-    described = [_described(plan, names, pair, hits, units.balls) for pair in found]
     slope = slope_error = None
     if controls:
         slope = float(fit.effects[count])
@@ -348,7 +334,7 @@ def _compared(
             between,
             fit.dof,
             joint.single(alpha),
-            _judged(plan, described, joint, alpha),
+            _judged(plan, found, joint, alpha, hits, units.balls),
             slope,
             slope_error,
             _explained(plan, data, fit, count),
@@ -397,36 +383,33 @@ def _scatter(
     return scatter_ratios(block, values, data.level, data.ball, names, plan.analysis.confidence)
 
 
-class _Described(NamedTuple):
-    first: str
-    second: str
-    contrast: Contrast
-    shots: int
-    balls: int
-    models: bool
-
-
 def _judged(
-    plan: CampaignPlan, found: Sequence[_Described], joint: JointErrors, alpha: float
+    plan: CampaignPlan,
+    found: Sequence[tuple[int, int, Contrast]],
+    joint: JointErrors,
+    alpha: float,
+    hits: Codes,
+    balls: Codes,
 ) -> tuple[Pair, ...]:
-    """Adjust all pairs together and put each into one word."""
-    a, single = plan.analysis, joint.single(alpha)
+    """Adjust all pairs together and put each into one word; `hits` and `balls` are those of each level."""
+    a, single, names = plan.analysis, joint.single(alpha), levels(plan)
     same: Sequence[float | None] = [None] * len(found)
     if a.equivalence_margin:
-        same = list[float | None](holm([pair.contrast.p_same(a.equivalence_margin) for pair in found]))
+        same = list[float | None](holm([c.p_same(a.equivalence_margin) for _, _, c in found]))
     pairs = []
-    for pair, equal in zip(found, same, strict=True):
-        c = pair.contrast
+    for (one, two, c), equal in zip(found, same, strict=True):
         adjusted = joint.adjusted(c.p)
         power = power_of_shift(a.target_difference / c.error, c.dof, single) if c.error else 1.0
         enough = power >= a.power and (
             not a.equivalence_margin
             or same_power_of_error(a.equivalence_margin, c.error, c.dof, alpha / len(found)) >= a.power
         )
+        models = plan.design.compare == "ball"
+        fewest = int(min(balls[one], balls[two])) if models or plan.split else 0
         pairs.append(
             Pair(
-                pair.first,
-                pair.second,
+                names[one],
+                names[two],
                 c.estimate,
                 c.error,
                 c.dof,
@@ -435,9 +418,9 @@ def _judged(
                 c.p,
                 adjusted,
                 equal,
-                pair.shots,
-                pair.balls,
-                pair.models,
+                int(min(hits[one], hits[two])),
+                fewest,
+                models and fewest > 1,
                 power,
                 _verdict(adjusted < alpha, equal is not None and equal < alpha, enough),
             )
@@ -508,15 +491,15 @@ def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
 
 def _outliers(fit: _Fit | None) -> tuple[tuple[int, float], ...]:
     """Flag residuals by Iglewicz and Hoaglin's robust z."""
-    if fit is None or len(fit.shots) < 5:
+    if fit is None or len(fit[1]) < 5:
         return ()
-    residuals = fit.fit.residuals
+    residuals, shots = fit[0].residuals, fit[1]
     off = residuals - np.median(residuals)
     scale = 1.4826 * float(np.median(np.abs(off)))
     if not scale:
         return ()
     z = off / scale
-    return tuple((fit.shots[i].shot, float(z[i])) for i in np.flatnonzero(np.abs(z) > OUTLIER))
+    return tuple((shots[i].shot, float(z[i])) for i in np.flatnonzero(np.abs(z) > OUTLIER))
 
 
 def interim_analysis(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[int, Comparison] | None:
