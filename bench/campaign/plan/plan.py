@@ -10,8 +10,8 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
-from math import hypot, pi
-from typing import Annotated, Any, Literal, get_args
+from math import inf, pi
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from drivers.base.ranges import Range
 from sim.ball import Ball
@@ -308,6 +308,11 @@ class StatedCalibration:
     dof: Annotated[float, Range(0.0, 1e6, "")] = field(default=0.0, metadata={"optional": True})
     """Its degrees of freedom; 0: infinite."""
 
+    @property
+    def text(self) -> str:
+        """Instrument, source and date in a line."""
+        return ", ".join(filter(None, (self.instrument, self.identity, self.source, self.date)))
+
 
 STATED = (*get_args(Quantity), "air_temperature_k", "air_pressure_pa", "relative_humidity")
 """Quantities whose uncertainty a calibration may state."""
@@ -419,15 +424,23 @@ def reference_level(plan: CampaignPlan) -> str:
     return plan.analysis.reference or levels(plan)[0]
 
 
-def stated_uncertainty(plan: CampaignPlan, quantity: str) -> float | None:
-    """Return the standard uncertainty of a quantity besides its scatter, as the plan states it; None: not.
+class StatedUncertainty(NamedTuple):
+    """A standard uncertainty of a quantity besides its scatter, as a plan states it."""
 
-    `rules.uncertainty` names it as a whole; else the plan's calibrations together.
-    """
+    uncertainty: float
+    dof: float
+    source: str
+
+
+def stated_uncertainties(plan: CampaignPlan, quantity: str) -> list[StatedUncertainty]:
+    """Return the uncertainties of a quantity: from [rules.uncertainty] as a whole, else from calibrations."""
     if quantity in plan.rules.uncertainty:
-        return plan.rules.uncertainty[quantity]
-    stated = [c.uncertainty[quantity] for c in plan.calibrations.values() if quantity in c.uncertainty]
-    return hypot(*stated) if stated else None
+        return [StatedUncertainty(plan.rules.uncertainty[quantity], inf, "the plan's [rules.uncertainty]")]
+    return [
+        StatedUncertainty(one.uncertainty[quantity], one.dof or inf, one.text)
+        for one in plan.calibrations.values()
+        if quantity in one.uncertainty
+    ]
 
 
 def controls_per_block(plan: CampaignPlan) -> int:

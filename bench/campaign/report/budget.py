@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, pi, radians, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
-from bench.campaign.plan.plan import NAMES, CampaignPlan, StatedCalibration, levels
+from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, stated_uncertainties
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import COVERAGE
 from bench.campaign.statistics.analysis import mean_error
@@ -75,12 +75,6 @@ class UncertaintyBudget:
     """None where type B is not known."""
     missing: str
     """Reason for an unknown type B; empty if it is known."""
-
-
-class _Stated(NamedTuple):
-    uncertainty: float
-    dof: float
-    source: str
 
 
 def uncertainty_budgets(
@@ -158,26 +152,10 @@ def _type_b(
     if column == "club_speed_mps" and not {s.delivery_source for s in shots} - {"encoders+model"}:
         yield from _by_encoders(shots, calibrations)
         return
-    if not (stated := _stated(plan, quantity)):
+    if not (stated := stated_uncertainties(plan, quantity)):
         yield f"no calibration states {quantity}"
     for u, dof, source in stated:
         yield BudgetLine("instrument", "B", source, column, u, 1.0, u, dof)
-
-
-def _stated(plan: CampaignPlan, quantity: str) -> list[_Stated]:
-    """Return the plan's uncertainties of a quantity: from [rules.uncertainty], else from calibrations."""
-    if quantity in plan.rules.uncertainty:
-        return [_Stated(plan.rules.uncertainty[quantity], inf, "the plan's [rules.uncertainty]")]
-    return [
-        _Stated(one.uncertainty[quantity], one.dof or inf, calibration_words(one))
-        for one in plan.calibrations.values()
-        if quantity in one.uncertainty
-    ]
-
-
-def calibration_words(stated: StatedCalibration) -> str:
-    """Return instrument, source and date of a calibration in a line."""
-    return ", ".join(filter(None, (stated.instrument, stated.identity, stated.source, stated.date)))
 
 
 def _by_encoders(shots: Sequence[Shot], calibrations: Mapping[str, Any]) -> Iterator[BudgetLine | str]:
@@ -214,7 +192,7 @@ def _flown(plan: CampaignPlan, shots: Sequence[Shot]) -> Iterator[BudgetLine | s
         yield "launch not measured"
         return
     for name, slope in slopes.items():
-        stated = _stated(plan, name)
+        stated = stated_uncertainties(plan, name)
         if not stated and name != "relative_humidity":
             yield f"no calibration states {name}"
         for u, dof, source in stated:

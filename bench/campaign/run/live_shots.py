@@ -22,7 +22,7 @@ from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import format_value
 from bench.base.lifecycle import Refusal
 from bench.campaign.plan.bench_setup import Preparation
-from bench.campaign.plan.carry import Measured, ShotCarry, require_carry
+from bench.campaign.plan.carry import Measured, carry_columns, require_carry
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Step
@@ -169,7 +169,7 @@ class LiveShots(ShotSource):
         self._ordered: tuple[tuple[float, ...], int] = (), 0
         """Weights requested from the bench, and its number of the correction."""
         self._monitored = monitored
-        self._carry = ShotCarry(plan, measured or {})
+        self._measured = measured or {}
         self._ball_chosen, self._stays_armed = False, True
         self._events: list[tuple[str, str]] = []
         """(kind, text) of what happened on the way to the shot under way."""
@@ -403,8 +403,9 @@ class LiveShots(ShotSource):
             seen = self._modelled(number, hit, plant.robot.club, ball, around)
         doubt, carries, told = seen.doubt, dict[str, Any](), seen.figures.get("carry_monitor_m")
         if seen.launch is not None and not doubt:
-            carries, doubt = self._carry.columns(
-                step.trial.arm.ball, seen.launch, around, told, ball if self.simulated else None
+            simulated, name = ball if self.simulated else None, step.trial.arm.ball
+            carries, doubt = carry_columns(
+                self._plan, self._measured, name, seen.launch, around, told, simulated
             )
         if doubt and not reason:
             status, reason = ShotStatus.EXCLUDED, doubt

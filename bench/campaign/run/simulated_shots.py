@@ -16,7 +16,7 @@ from zlib import crc32
 
 import numpy as np
 
-from bench.campaign.plan.carry import Measured, ShotCarry
+from bench.campaign.plan.carry import Measured, carry_columns
 from bench.campaign.plan.plan import CampaignPlan, Simulation
 from bench.campaign.plan.shot_sequence import Step
 from bench.campaign.run.corrections import CampaignCorrections, Drift
@@ -164,7 +164,7 @@ class SimulatedShots(ShotSource):
     ) -> None:
         """`measured` are the aerodynamics that were measured, by ball."""
         self._plan, self._configuration, self._stop = plan, configuration, stop
-        self._carry = ShotCarry(plan, measured or {})
+        self._measured = measured or {}
         self._swings = swings
         s = plan.simulation
         self._monitor = MonitorParameters(
@@ -253,7 +253,8 @@ class SimulatedShots(ShotSource):
                 status, reason = ShotStatus.EXCLUDED, reason or heard.reason
             elif heard.launch is not None and heard.launch.launch is not None:
                 told, launch = heard.launch.carry, heard.launch.launch
-                carries, doubt = self._carry.columns(step.trial.arm.ball, launch, around, told, ball)
+                name = step.trial.arm.ball
+                carries, doubt = carry_columns(self._plan, self._measured, name, launch, around, told, ball)
                 if doubt:
                     status, reason = ShotStatus.EXCLUDED, reason or doubt
         shot = self._shot(step, number, sample, result, status, reason)
