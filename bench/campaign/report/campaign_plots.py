@@ -82,6 +82,17 @@ def _picture(figure: Figure, name: str, label: str, *captions: str) -> Picture:
     return Picture(to_svg(figure, name), label, " ".join(filter(None, captions)))
 
 
+def _panels(height: float, count: int, width: int, *, shared: bool = False) -> tuple[Figure, list[Axes]]:
+    """Return a figure with `count` panels in rows of `width`, and its panels."""
+    figure = styled(height)
+    grid: np.ndarray[Any, Any] = figure.subplots(
+        -(-count // width), width, sharex=shared, sharey=shared, squeeze=False
+    )
+    for axes in grid.ravel()[count:]:
+        axes.set_visible(False)
+    return figure, list(grid.ravel()[:count])
+
+
 def _section_pictures(
     plan: CampaignPlan, mine: Sequence[Shot], analysis: SectionAnalysis, landing: Landing, units: UnitSystem
 ) -> dict[str, Any]:
@@ -152,17 +163,16 @@ def _dispersion(
     alone, many = len(landings) == 1, len(shots) > _MANY
     width = 1 + len(_PAIRED) if alone else min(len(landings), _COLUMNS)
     rows = -(-len(landings) // width)
-    figure = styled(0.4 + (2.3 if width < 4 else 1.9) * rows)
-    grid: np.ndarray[Any, Any] = figure.subplots(rows, width, squeeze=False)
+    figure, panels = _panels(
+        0.4 + (2.3 if width < 4 else 1.9) * rows, width if alone else len(landings), width
+    )
     distance = display_unit("carry_m", units)
-    for axes in grid.ravel()[1 if alone else len(landings) :]:
-        axes.set_visible(alone)
-    for axes, landing in zip(grid.ravel(), landings, strict=False):
+    for axes, landing in zip(panels, landings, strict=False):
         _draw_landing(axes, landing, distance, many)
     if alone:
-        for axes, columns in zip(grid[0, 1:], _PAIRED, strict=True):
+        for axes, columns in zip(panels[1:], _PAIRED, strict=True):
             _draw_pairs(axes, _by_level(plan, shots), columns, units, many)
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
     return _picture(
         figure,
         name,
@@ -222,14 +232,9 @@ def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Pi
     """Each level's difference to the reference with its interval, a panel per column of the table."""
     unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
     places = [n for n, one in enumerate(table.columns[0].compared) if one.level.name != table.reference]
-    rows = -(-len(table.columns) // _PANELS)
-    figure = styled((0.75 + 0.19 * len(places)) * rows)
-    grid: np.ndarray[Any, Any] = figure.subplots(
-        rows, min(len(table.columns), _PANELS), sharex=True, sharey=True, squeeze=False
-    )
-    for axes in grid.ravel()[len(table.columns) :]:
-        axes.set_visible(False)
-    for axes, column in zip(grid.ravel(), table.columns, strict=False):
+    rows, width = -(-len(table.columns) // _PANELS), min(len(table.columns), _PANELS)
+    figure, panels = _panels((0.75 + 0.19 * len(places)) * rows, len(table.columns), width, shared=True)
+    for axes, column in zip(panels, table.columns, strict=True):
         axes.axvline(0, color=_INK, linewidth=0.8)
         if plan.analysis.equivalence_margin:
             margin = plan.analysis.equivalence_margin / unit.size
@@ -278,16 +283,11 @@ def _each(
     """A panel for each level: its landing points and ellipse before those of all others."""
     distance = display_unit("carry_m", units)
     rows = -(-len(flown) // _COLUMNS)
-    figure = styled(0.35 + 1.55 * rows)
-    grid: np.ndarray[Any, Any] = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
+    figure, panels = _panels(0.35 + 1.55 * rows, len(flown), _COLUMNS, shared=True)
     ellipses = {ellipse.name: ellipse for ellipse in views.dispersion}
     every = np.concatenate([points for _, points, _ in flown]) / distance.size
     corners = [_corners(ellipse) / distance.size for ellipse in views.dispersion]
-    for index, axes in enumerate(grid.ravel()):
-        if index >= len(flown):
-            axes.set_visible(False)
-            continue
-        name, points, _ = flown[index]
+    for index, (axes, (name, points, _)) in enumerate(zip(panels, flown, strict=True)):
         style = _look(index, len(every) > _MANY) | {"markersize": 3.0}
         axes.plot(*every.T, ".", color="#d1d5db", markersize=1.5, rasterized=True)
         axes.plot(*distance.of(points).T, **style)

@@ -21,10 +21,9 @@ from bench.campaign.report.campaign_record import (
     NO_DATA,
     SHOT_DIGITS,
     CampaignRecord,
-    parts_digests,
+    Digests,
     reasons_by_hand,
-    shot_digests,
-    whole_digest,
+    record_digests,
 )
 from bench.campaign.report.conformity import DECISION_RULE
 from bench.campaign.report.findings import (
@@ -161,21 +160,20 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
 
 def _signed_part(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[str, Any]:
     """Return the variables of the part that is signed."""
-    shots, calibrations = shot_digests(record.shots), calibration_table(record)
-    parts = record_parts(record, shots)
+    digests, calibrations = record_digests(record), calibration_table(record)
     budgets = uncertainty_budgets(
         record.plan, record.shots, record.entry.calibrations, simulated=record.entry.simulated
     )
     return {
         "number": record.number,
         "issued": bool(record.issues),
-        "particulars": particulars(record, whole_digest(parts)),
+        "particulars": particulars(record, digests.whole),
         "particular_tables": (item_table(record), calibrations),
         "overdue": calibrations.overdue,
         "statement": STATEMENT,
         "budgets": budgets,
         "contributions": _contributions(budgets),
-        "data": _page_data(record, found, units, parts, shots),
+        "data": _page_data(record, found, units, digests),
     }
 
 
@@ -234,14 +232,7 @@ def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[...
     }
 
 
-def record_parts(record: CampaignRecord, shots: Sequence[str]) -> dict[str, str]:
-    """Return the digests of the parts of `record`; `shots` are those of its shots."""
-    return parts_digests(record.entry, shots, record.events, record.prompts, record.notes, record.exclusions)
-
-
-def _page_data(
-    record: CampaignRecord, found: Findings, units: UnitSystem, parts: dict[str, str], shots: Sequence[str]
-) -> str:
+def _page_data(record: CampaignRecord, found: Findings, units: UnitSystem, digests: Digests) -> str:
     """Return the data that verify a page, as JSON that is safe within it."""
     data = {
         "schema": 1,
@@ -251,9 +242,9 @@ def _page_data(
         "units": str(units),
         "looks": found.looks,
         "software": software_versions()["source"],
-        "digest": whole_digest(parts),
-        "parts": parts,
-        "shots": "".join(digest[:SHOT_DIGITS] for digest in shots),
+        "digest": digests.whole,
+        "parts": digests.parts,
+        "shots": "".join(digest[:SHOT_DIGITS] for digest in digests.shots),
         "figures": findings_record(found),
     }
     return json.dumps(data, separators=(",", ":")).replace("&", "\\u0026").replace("<", "\\u003c")
