@@ -325,16 +325,16 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         OSError: its folder cannot be made.
     """
     location = url.render_as_string(hide_password=True)
-    read_only = False
-    if url.get_backend_name() == "sqlite":
+    is_sqlite, read_only = url.get_backend_name() == "sqlite", False
+    if is_sqlite:
         location = str(url.database)
         Path(location).parent.mkdir(parents=True, exist_ok=True)
         if read_only := is_read_only(Path(location)):
             url = _read_only_url(Path(location))
     try:
         # A connection that a restart of the server has cut is replaced when it is next used.
-        pings = url.get_backend_name() != "sqlite"
-        engine = create_engine(url, connect_args=_connect_arguments(url), pool_pre_ping=pings)
+        arguments = {"timeout": BUSY_TIMEOUT} if is_sqlite else {}
+        engine = create_engine(url, connect_args=arguments, pool_pre_ping=not is_sqlite)
     except ModuleNotFoundError as error:
         raise BenchError(
             location,
@@ -342,7 +342,7 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
             "the database's driver",
             f"Run pip install {error.name}.",
         ) from error
-    if url.get_backend_name() == "sqlite":
+    if is_sqlite:
         event.listen(engine, "connect", _prepare_reading if read_only else _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     try:
@@ -386,10 +386,6 @@ def _read_only_url(file: Path) -> URL:
 def _log_of(file: Path) -> Path:
     """Return the write-ahead log of SQLite's `file`."""
     return file.with_name(f"{file.name}-wal")
-
-
-def _connect_arguments(url: URL) -> dict[str, Any]:
-    return {"timeout": BUSY_TIMEOUT} if url.get_backend_name() == "sqlite" else {}
 
 
 def _prepare_reading(connection: Any, _: Any) -> None:

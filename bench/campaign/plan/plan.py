@@ -401,10 +401,8 @@ class CampaignPlan:
         return self.design.hits_per_mounting * len(self.design.balls) if self.split else 1
 
     def record(self) -> dict[str, Any]:
-        """Return the plan for JSON; `plan_from_record` reads it back. An empty reference is left out."""
+        """Return the plan for JSON; `plan_from_record` reads it back."""
         plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        if not self.analysis.reference:
-            del plain["analysis"]["reference"]
         return plain
 
     @property

@@ -153,7 +153,7 @@ class Digests(NamedTuple):
     shots: list[str]
     """Digest of each shot, all its columns."""
     parts: dict[str, str]
-    """Digests of plan, campaign, shots, events, prompts, notes, and exclusions if any."""
+    """Digests of plan, campaign, shots, events, prompts, notes, exclusions."""
     whole: str
     """Digest of all parts."""
 
@@ -169,9 +169,8 @@ def record_digests(record: CampaignRecord) -> Digests:
         "events": _digest([one for one in record.events if one.kind not in NO_DATA]),
         "prompts": _digest(list(record.prompts)),
         "notes": _digest(list(record.notes)),
+        "exclusions": _digest(list(record.exclusions)),
     }
-    if record.exclusions:
-        parts["exclusions"] = _digest(record.exclusions)
     return Digests(shots, parts, _digest(parts))
 
 

@@ -393,7 +393,7 @@ def findings_record(found: Findings) -> dict[str, Any]:
         "shots": found.shots,
         "by_status": dict(found.by_status),
         "sections": [
-            _section_record(analysis)
+            _plain(asdict(analysis))
             | {
                 "verdicts": [verdict._asdict() for verdict in verdicts],
                 "needed": dict(zip(("different", "same"), (n and n._asdict() for n in needed), strict=True)),
@@ -410,14 +410,6 @@ def findings_record(found: Findings) -> dict[str, Any]:
         ],
         "rules": [asdict(rule) for rule in found.rules],
     }
-
-
-def _section_record(analysis: SectionAnalysis) -> dict[str, Any]:
-    """Return an analysis for JSON; balls within clubs only of a split-plot."""
-    record: dict[str, Any] = _plain(asdict(analysis))
-    if not analysis.within:
-        del record["within"]
-    return record
 
 
 def _views_record(views: SectionViews) -> dict[str, Any]:

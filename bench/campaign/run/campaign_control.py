@@ -111,7 +111,7 @@ def standing_now(data_dir: Path, campaign: str, stored: Standing) -> Standing:
     if is_running(data_dir, campaign):
         return stored
     reason = f"its runner ended without closing it; resume it: golfbench campaign resume {campaign}"
-    return Standing(CampaignState.INTERRUPTED, reason, *stored[2:])
+    return stored._replace(state=CampaignState.INTERRUPTED, reason=reason)
 
 
 def _lock_file(data_dir: Path, name: str) -> Path:

@@ -30,12 +30,11 @@ from bench.campaign.run.corrections import CampaignCorrections, Drift
 from bench.campaign.run.plan_requirements import START_SERIES, Profiles, needs_series, series_words
 from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Suspended, Taken
 from bench.campaign.run.simulated_shots import (
-    air_columns,
     ball_as_hit,
     monitored,
     random_of,
     reported_carry,
-    step_columns,
+    shot_row,
 )
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
@@ -45,7 +44,7 @@ from bench.network.client import BenchClient, CommandRefused
 from bench.network.status_words import absent_monitor_text
 from bench.records.shot.ball_struck import ball_struck
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
-from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import reported_columns
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
 from bench.supervisor.ownership import bench_folder
@@ -361,15 +360,7 @@ class LiveShots(ShotSource):
 
     def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
         """Return a failed shot: no swing, or no record of it."""
-        shot = Shot.from_measurements(
-            **step_columns(step, number, sample),
-            delivery=None,
-            launch=None,
-            flight=None,
-            status=ShotStatus.FAILED,
-            reason=none.found,
-            time_utc=datetime.now(UTC),
-        )
+        shot = shot_row(step, number, sample, datetime.now(UTC), ShotStatus.FAILED, none.found)
         return Taken(shot, None, {}, none.swung, tuple(self._events))
 
     def _taken(
@@ -409,15 +400,9 @@ class LiveShots(ShotSource):
             )
         if doubt and not reason:
             status, reason = ShotStatus.EXCLUDED, doubt
-        shot = Shot.from_measurements(
-            **step_columns(step, number, sample),
-            **air_columns(air),
-            delivery=delivery,
-            launch=seen.launch,
-            flight=None,
-            status=status,
-            reason=reason,
-            time_utc=datetime.fromisoformat(metadata["time_utc"]),
+        time_utc = datetime.fromisoformat(metadata["time_utc"])
+        shot = shot_row(
+            step, number, sample, time_utc, status, reason, delivery=delivery, launch=seen.launch, air=air
         )
         shot = replace(shot, **{**seen.figures, **carries})
         metadata |= {"record": record.path.name, **more}
@@ -441,34 +426,34 @@ class LiveShots(ShotSource):
     ) -> _SeenLaunch:
         """Return the launch of `ball` as a simulated launch monitor sees it; none without a `delivery`."""
         if delivery is None:
-            return _SeenLaunch(None, "", {}, {})
+            return _SeenLaunch(None)
         draws = random_of(self._plan, number).standard_normal(6)
         try:
             true = strike(delivery, club, ball)
         except ValueError as error:
-            return _SeenLaunch(None, f"no launch: {error}", {}, {})
+            return _SeenLaunch(None, f"no launch: {error}")
         carry = reported_carry(self._plan, number, true, ball, around)
         figures = {} if carry is None else {"carry_monitor_m": carry}
-        return _SeenLaunch(monitored(self._plan.simulation, true, draws[2:]), "", figures, {})
+        return _SeenLaunch(monitored(self._plan.simulation, true, draws[2:]), "", figures)
 
 
 class _SeenLaunch(NamedTuple):
     """Launch of a shot as the launch monitor has it."""
 
     launch: Launch | None
-    doubt: str
+    doubt: str = ""
     """Reason to exclude the shot; empty without one."""
-    figures: dict[str, Any]
+    figures: Mapping[str, Any] = {}
     """Columns of the shot that the monitor measured."""
-    metadata: dict[str, Any]
+    metadata: Mapping[str, Any] = {}
 
 
 def _reported(message: ShotPublication | None) -> _SeenLaunch:
     """Return the launch that the launch monitor's process reported; doubtful without a `message`."""
     if message is None:
-        return _SeenLaunch(None, NO_WORD, {}, {})
+        return _SeenLaunch(None, NO_WORD)
     if (told := message["launch"]) is None:
-        return _SeenLaunch(None, message["reason"], {}, {})
+        return _SeenLaunch(None, message["reason"])
     launch = launch_from_json(told)
     return _SeenLaunch(launch.launch, message["reason"], reported_columns(launch), {"launch": told})
 
@@ -488,17 +473,12 @@ def _suspending() -> Iterator[None]:
 
 def _judged(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> tuple[ShotStatus, str]:
     """Return the status of a swing's shot by its record, and the reason unless it is valid."""
-    if reason := _failure(metadata, delivery, struck):
-        return ShotStatus.FAILED, reason
+    if metadata["outcome"]["cause"] != "NONE":
+        return ShotStatus.FAILED, str(metadata["outcome"]["text"])
+    if delivery is None:
+        return ShotStatus.FAILED, "no swing through the ball's place"
+    if not struck:
+        return ShotStatus.FAILED, "no ball struck"
     if not metadata["complete"]:
         return ShotStatus.EXCLUDED, f"{metadata['lost_records']} cycles of its record are missing"
     return ShotStatus.VALID, ""
-
-
-def _failure(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> str:
-    """Return why a swing was no shot; empty when it was."""
-    if metadata["outcome"]["cause"] != "NONE":
-        return str(metadata["outcome"]["text"])
-    if delivery is None:
-        return "no swing through the ball's place"
-    return "" if struck else "no ball struck"

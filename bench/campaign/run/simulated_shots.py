@@ -37,6 +37,7 @@ from drivers.launch_monitor.record import LaunchRecord
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import fly
+from sim.impact import Delivery
 from sim.launch_monitor import MonitorParameters, monitor_messages
 from sim.plant import PlantParameters
 
@@ -121,32 +122,40 @@ def reported_carry(
     return max(0.0, carry + plan.simulation.carry * noise)
 
 
-def air_columns(air: Air | None) -> dict[str, Any]:
-    """Return the columns of the measured `air`."""
-    if air is None:
-        return {}
-    return {
-        "air_temperature_k": air.temperature,
-        "air_pressure_pa": air.pressure,
-        "relative_humidity": air.relative_humidity,
-    }
-
-
-def step_columns(step: Step, number: int, sample: int) -> dict[str, Any]:
-    """Return the columns of a shot that are known before it is taken."""
+def shot_row(
+    step: Step,
+    number: int,
+    sample: int,
+    time_utc: datetime,
+    status: ShotStatus,
+    reason: str,
+    *,
+    delivery: Delivery | None = None,
+    launch: Launch | None = None,
+    air: Air | None = None,
+) -> Shot:
+    """Return the row of shot `number`, taken as `step` with ball `sample` in the measured `air`."""
     trial, arm = step.trial, step.trial.arm
-    return {
-        "shot": number,
-        "block": trial.block,
-        "position": trial.position,
-        "club": arm.club,
-        "ball": arm.ball,
-        "swing": arm.swing,
-        "role": str(trial.role),
-        "section": trial.section,
-        "attempt": step.attempt,
-        "sample": sample,
-    }
+    weather = (None, None, None) if air is None else (air.temperature, air.pressure, air.relative_humidity)
+    return Shot.from_measurements(
+        shot=number,
+        block=trial.block,
+        position=trial.position,
+        club=arm.club,
+        ball=arm.ball,
+        swing=arm.swing,
+        role=str(trial.role),
+        section=trial.section,
+        attempt=step.attempt,
+        sample=sample,
+        time_utc=time_utc,
+        status=status,
+        reason=reason,
+        delivery=delivery,
+        launch=launch,
+        flight=None,
+        **dict(zip(("air_temperature_k", "air_pressure_pa", "relative_humidity"), weather, strict=True)),
+    )
 
 
 class SimulatedShots(ShotSource):
@@ -203,7 +212,8 @@ class SimulatedShots(ShotSource):
         if number in s.guard_opened:
             events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
         if fault := self._feeder_fault(arm.ball, number, sample):
-            shot = self._shot(step, number, sample, None, ShotStatus.FAILED, fault)
+            time, air = self.time_of(number), self._configuration.air
+            shot = shot_row(step, number, sample, time, ShotStatus.FAILED, fault, air=air)
             return Taken(shot, None, {}, False, tuple(events))
         armed, base = self._bench(arm.swing, arm.club)
         random = random_of(self._plan, number)
@@ -257,32 +267,13 @@ class SimulatedShots(ShotSource):
                 carries, doubt = carry_columns(self._plan, self._measured, name, launch, around, told, ball)
                 if doubt:
                     status, reason = ShotStatus.EXCLUDED, reason or doubt
-        shot = self._shot(step, number, sample, result, status, reason)
+        time, delivery, air = self.time_of(number), result.delivery, self._configuration.air
+        shot = shot_row(step, number, sample, time, status, reason, delivery=delivery, air=air)
         if heard.launch is not None:
             shot = replace(
                 shot, **{**reported_columns(heard.launch), "launch_source": "simulated", **carries}
             )
         return shot
-
-    def _shot(
-        self,
-        step: Step,
-        number: int,
-        sample: int,
-        result: SwingResult | None,
-        status: ShotStatus,
-        reason: str,
-    ) -> Shot:
-        return Shot.from_measurements(
-            **step_columns(step, number, sample),
-            **air_columns(self._configuration.air),
-            time_utc=self.time_of(number),
-            delivery=None if result is None else result.delivery,
-            launch=None,
-            flight=None,
-            status=status,
-            reason=reason,
-        )
 
     def _bench(self, swing: str, club: str) -> tuple[ArmedBench, dict[str, Any]]:
         """Return the bench armed with a swing and a club, and the metadata of all its records."""

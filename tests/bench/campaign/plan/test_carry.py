@@ -202,10 +202,10 @@ def test_campaign_report_hardware_omits_simulation_parameters(
     assert "0.80 to 0.80 m" in hardware
 
 
-def test_carry_words_model_source_disclaims_real_ball(configuration: Configuration) -> None:
+def test_carry_words_explain_source(configuration: Configuration) -> None:
     plan = _ten(configuration, "")
-    shots = [replace(shot, carry_source="model") for shot in campaign_shots(plan, Truth(), 1)[:40]]
-    assert "it says nothing of a real ball" in carry_words(shots)
+    shots = [replace(shot, carry_source="reference") for shot in campaign_shots(plan, Truth(), 1)[:40]]
+    assert "it compares launches, not flights" in carry_words(shots)
     assert carry_words([]) == ""
 
 
