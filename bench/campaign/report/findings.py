@@ -207,11 +207,6 @@ class RankedLevel:
     effect: float
     """Level less the mean of all levels, by the confirmatory model."""
     letters: str
-    behind: float
-    """Level less the first one; 0 of the first."""
-    behind_low: float
-    behind_high: float
-    """Interval of `behind` that holds together with all pairs'."""
     scatter_letters: str
     """Levels without one in common scatter differently; empty where scatter was not compared."""
 
@@ -234,9 +229,7 @@ def ranking(comparison: Comparison | None) -> tuple[RankedLevel, ...]:
         compared = {name for ratio in comparison.scatter for name in (ratio.first, ratio.second)}
         scatter = compact_letters([name for name in order if name in compared], unequal)
     return tuple(
-        RankedLevel(
-            place, name, effects[name], letters[name], *_behind(pairs, name, order[0]), scatter.get(name, "")
-        )
+        RankedLevel(place, name, effects[name], letters[name], scatter.get(name, ""))
         for place, name in enumerate(order, 1)
     )
 
@@ -274,14 +267,7 @@ def _effects(names: Sequence[str], pairs: Sequence[Pair]) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, found, strict=True)}
 
 
-def _behind(pairs: Sequence[Pair], name: str, first: str) -> tuple[float, float, float]:
-    if name == first:
-        return 0.0, 0.0, 0.0
-    pair = difference_to(first, name, pairs)
-    return (pair.difference, pair.low_together, pair.high_together) if pair else (float("nan"),) * 3
-
-
-SCHEMA = 4
+SCHEMA = 5
 """Version of the JSON."""
 
 
