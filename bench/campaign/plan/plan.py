@@ -439,8 +439,3 @@ def stated_uncertainties(plan: CampaignPlan, quantity: str) -> list[StatedUncert
         for one in plan.calibrations.values()
         if quantity in one.uncertainty
     ]
-
-
-def controls_per_block(plan: CampaignPlan) -> int:
-    """Return how often a block hits the control ball: at start and end, and between where there is one."""
-    return 0 if not plan.control.ball else 2 + (len(levels(plan)) > 1)

@@ -111,7 +111,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
     if not record.shots:
         raise ValueError("a report needs at least one shot")
     plan, entry, shots = record.plan, record.entry, record.shots
-    template = page_template("campaign.html.j2", _filters(display_unit(plan.analysis.quantity, units), units))
+    template = page_template(_filters(display_unit(plan.analysis.quantity, units), units))
     times = [shot.time_utc for shot in shots]
     tables, compared = difference_tables(plan, found.sections), quantity_name(as_flown(plan, shots))
     return template.render(

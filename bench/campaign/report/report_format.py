@@ -153,8 +153,8 @@ BALL = {
 """Short names of the columns of launch and flight, the lower line."""
 
 
-def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
-    """Return a template of this package with its own `filters`; undefined variables are errors."""
+def page_template(filters: Mapping[str, Callable[..., Any]]) -> jinja2.Template:
+    """Return the template of a report with its `filters`; undefined variables are errors."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(
             lambda wanted: (files("bench.campaign.report") / wanted).read_text(encoding="utf-8")
@@ -164,8 +164,8 @@ def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(filters or {})
-    return environment.get_template(name)
+    environment.filters.update(filters)
+    return environment.get_template("campaign.html.j2")
 
 
 def shot_figures(shot: Shot, columns: Iterable[str], units: UnitSystem) -> list[str]:

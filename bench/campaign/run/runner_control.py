@@ -10,7 +10,6 @@ from operator import getitem
 from typing import Any
 
 from bench.base.errors import Refused
-from bench.calibration.archive import newest_aerodynamics
 from bench.campaign.interruptions import RunStart, differences, software_versions
 from bench.campaign.plan.carry import Measured, measured_of
 from bench.campaign.plan.gate import planned_delivery
@@ -93,11 +92,6 @@ def new_entry(
             if profile.followed is not None
         },
     )
-
-
-def measured_balls(plan: CampaignPlan, store: CampaignStore, bench: str) -> Measured:
-    """Return the newest measured aerodynamics of the plan's balls that have some, as `bench` stores them."""
-    return newest_aerodynamics(store.database, bench, plan.ball_names)
 
 
 def bench_calibrations(

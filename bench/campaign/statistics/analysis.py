@@ -24,7 +24,7 @@ import numpy as np
 from scipy import special
 
 from bench.campaign.plan.gate import OUTSIDE
-from bench.campaign.plan.plan import CampaignPlan, controls_per_block, levels
+from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role, looks_after
 from bench.campaign.statistics.block_model import (
     Array,
@@ -204,7 +204,7 @@ def _analysed(
     controls = [shot for shot in mine if shot.role == Role.CONTROL]
     names, factor = levels(plan), plan.design.compare
     confirmatory, fit = None, None
-    if controls_per_block(plan) and plan.analysis.drift == "linear":
+    if plan.control.ball and plan.analysis.drift == "linear":
         method = "drift removed by the control ball"
         confirmatory, fit = _compared(plan, tests, controls, method, look.alpha)
     if confirmatory is None:

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, special, stats
 
-from bench.campaign.plan.plan import CampaignPlan, controls_per_block, levels
+from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role, block_trials, is_settled, looks_after, sections
 from bench.campaign.statistics.block_model import Array, Codes, are_pooled, enough_mountings, fit_blocks
 from bench.campaign.statistics.unequal_variances import Draws, UnitLayout, drawn_pairs, together, units_of
@@ -224,7 +224,7 @@ def predict_precision(
     `sd` is the standard deviation of one shot, after covariates; `ball_sd` is that between balls, or between
     mountings in a split-plot.
     """
-    count, controls = len(levels(plan)), bool(controls_per_block(plan))
+    count, controls = len(levels(plan)), bool(plan.control.ball)
     if count < 2 or sd <= 0:
         return None
     blocks = blocks or plan.design.blocks

@@ -206,7 +206,8 @@ def run(
     Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
     143 after SIGTERM.
     """
-    from bench.campaign.run.runner_control import measured_balls, new_entry
+    from bench.calibration.archive import newest_aerodynamics
+    from bench.campaign.run.runner_control import new_entry
 
     plan, configuration, profiles = _checked(context, file)
     if expect not in ("", plan.digest):
@@ -218,7 +219,7 @@ def run(
         )
     outputs = _outputs(json_, junit, report_to, check_, units)
     with _store(configuration.bench) as store:
-        measured = measured_balls(plan, store, configuration.bench.id)
+        measured = newest_aerodynamics(store.database, configuration.bench.id, plan.ball_names)
         facts = {} if sim else _bench_facts(plan, configuration, measured, store)
         now = datetime.now(UTC)
         entry = new_entry(
