@@ -19,8 +19,7 @@ from scipy import stats
 from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, stated_uncertainties
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import COVERAGE
-from bench.campaign.statistics.analysis import mean_error
-from bench.campaign.statistics.block_model import independent_codes
+from bench.campaign.statistics.block_model import independent_codes, mean_error
 from bench.records.shot.shot import Shot, ShotStatus
 from sim.air import Air
 from sim.flight import fly_many

@@ -28,11 +28,16 @@ from bench.campaign.statistics.analysis import (
     Level,
     Pair,
     SectionAnalysis,
-    Spread,
     analyse,
-    spread,
 )
-from bench.campaign.statistics.block_model import Repeatability, independent_codes, repeatability, within_club
+from bench.campaign.statistics.block_model import (
+    Repeatability,
+    Spread,
+    independent_codes,
+    repeatability,
+    spread,
+    within_club,
+)
 from bench.campaign.statistics.control_chart import (
     ControlChart,
     DispersionEllipse,

@@ -21,7 +21,6 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 from bench.campaign.plan.gate import OUTSIDE
 from bench.campaign.plan.plan import CampaignPlan, levels
@@ -32,6 +31,7 @@ from bench.campaign.statistics.block_model import (
     Codes,
     Contrast,
     ScatterRatio,
+    Spread,
     are_pooled,
     ball_columns,
     enough_mountings,
@@ -41,7 +41,7 @@ from bench.campaign.statistics.block_model import (
     scatter_ratios,
     set_codes,
     shots_within,
-    variance_components,
+    spread,
     within_club,
 )
 from bench.campaign.statistics.sample_size import Look, look_now, power_of_shift, same_power_of_error
@@ -57,21 +57,6 @@ from bench.records.shot.shot import Shot, ShotStatus
 
 OUTLIER = 3.5
 """Robust z (Iglewicz and Hoaglin 1993) from which a shot is flagged; it stays in the analysis."""
-
-
-class Spread(NamedTuple):
-    """Mean and standard deviation of one shot, with intervals for untested balls; NaN with too few."""
-
-    n: int
-    """Number of shots."""
-    balls: int
-    """Number of balls, in a split-plot of mountings; with only one, the values are those of this ball."""
-    mean: float
-    low: float
-    high: float
-    sd: float
-    sd_low: float
-    sd_high: float
 
 
 @dataclass(frozen=True)
@@ -434,44 +419,6 @@ def _verdict(different: bool, same: bool, enough: bool) -> str:
     if same:
         return "same"
     return "open" if enough else "not enough shots"
-
-
-def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -> Spread:
-    """Return mean and standard deviation of one shot of (n,) values, balls being random where known.
-
-    With more than one ball the mean's interval is that of the balls' means (Student), the standard deviation
-    holds scatter between and within balls (Satterthwaite); else shots count for themselves.
-    """
-    n, nan = len(values), float("nan")
-    codes = np.zeros(n, int) if ball is None else np.unique(ball, return_inverse=True)[1]
-    balls = int(codes.max()) + 1 if n else 0
-    if n < 2:
-        return Spread(n, balls, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
-    mean, error = float(values.mean()), mean_error(values, codes)
-    grouped = codes if 1 < balls < n else np.zeros(n, int)
-    whole = variance_components(values, grouped, confidence)[1]
-    half = float(special.stdtrit(error.dof, (1 + confidence) / 2)) * error.error
-    return Spread(n, balls, mean, mean - half, mean + half, whole.sd, whole.low, whole.high)
-
-
-class MeanError(NamedTuple):
-    """Standard uncertainty of a mean from the scatter of its series."""
-
-    error: float
-    dof: float
-
-
-def mean_error(values: Array, codes: Codes) -> MeanError:
-    """Return the standard uncertainty of the mean of n >= 2 `values` (n,) of balls `codes` (n,)."""
-    n, balls, mean = len(values), int(codes.max()) + 1, float(values.mean())
-    if 1 < balls < n:
-        hits = np.bincount(codes)
-        sums = np.bincount(codes, values - mean)
-        # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
-        variance, dof = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
-        dof = min(dof, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else dof
-        return MeanError(sqrt(variance), max(dof, 1.0))
-    return MeanError(float(values.std(ddof=1)) / sqrt(n), float(n - 1))
 
 
 def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:

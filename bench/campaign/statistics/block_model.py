@@ -331,6 +331,59 @@ def _interval(variance: float, dof: float, confidence: float) -> Scatter:
     return Scatter(sd, float(low), float(high))
 
 
+class Spread(NamedTuple):
+    """Mean and standard deviation of one shot, with intervals for untested balls; NaN with too few."""
+
+    n: int
+    """Number of shots."""
+    balls: int
+    """Number of balls, in a split-plot of mountings; with only one, the values are those of this ball."""
+    mean: float
+    low: float
+    high: float
+    sd: float
+    sd_low: float
+    sd_high: float
+
+
+def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -> Spread:
+    """Return mean and standard deviation of one shot of (n,) values, balls being random where known.
+
+    With more than one ball the mean's interval is that of the balls' means (Student), the standard deviation
+    holds scatter between and within balls (Satterthwaite); else shots count for themselves.
+    """
+    n, nan = len(values), float("nan")
+    codes = np.zeros(n, int) if ball is None else np.unique(ball, return_inverse=True)[1]
+    balls = int(codes.max()) + 1 if n else 0
+    if n < 2:
+        return Spread(n, balls, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
+    mean, error = float(values.mean()), mean_error(values, codes)
+    grouped = codes if 1 < balls < n else np.zeros(n, int)
+    whole = variance_components(values, grouped, confidence)[1]
+    half = float(special.stdtrit(error.dof, (1 + confidence) / 2)) * error.error
+    return Spread(n, balls, mean, mean - half, mean + half, whole.sd, whole.low, whole.high)
+
+
+class MeanError(NamedTuple):
+    """Standard uncertainty of a mean from the scatter of its series."""
+
+    error: float
+    dof: float
+
+
+def mean_error(values: Array, codes: Codes) -> MeanError:
+    """Return the standard uncertainty of the mean of n >= 2 `values` (n,) of balls `codes` (n,)."""
+    n, balls, mean = len(values), int(codes.max()) + 1, float(values.mean())
+    if 1 < balls < n:
+        hits = np.bincount(codes)
+        sums = np.bincount(codes, values - mean)
+        # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
+        variance, dof = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
+        dof = min(dof, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else dof
+        return MeanError(sqrt(variance), max(dof, 1.0))
+    return MeanError(float(values.std(ddof=1)) / sqrt(n), float(n - 1))
+
+
 class ScatterRatio(NamedTuple):
     """Standard deviation of one shot of `first` over that of `second`."""
 
