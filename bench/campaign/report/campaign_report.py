@@ -418,32 +418,31 @@ def _reasons(found: Findings) -> list[tuple[str, int]]:
 
 def _limits(record: CampaignRecord, units: UnitSystem) -> list[str]:
     limits = list(LIMITS)
-    s, fast, far = (
-        record.plan.simulation,
-        display_unit("ball_speed_mps", units),
-        display_unit("carry_m", units),
-    )
+    s, fast = record.plan.simulation, display_unit("ball_speed_mps", units)
+    far = display_unit("carry_m", units)
     monitor = (
         f"launch monitor {fast.of(s.ball_speed):.2g} {fast.unit}, spin {s.spin_rpm:g} rpm, carry "
         f"{far.of(s.carry):.2g} {far.unit}"
     )
-    if record.entry.simulated and record.entry.real_time:
-        limits[:0] = [
-            "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
-            "the behaviour of models, not of balls.",
+    differ = "From shot to shot differ (standard deviations, assumptions):"
+    scatter = (
+        f"restitution {100 * s.restitution:g} % from hit to hit and {100 * s.sample:g} % from ball to ball, "
+        f"{monitor}."
+    )
+    if record.entry.simulated:
+        in_real_time = (
             "The robot swung in real time, with its actual scatter. The ball's result was computed from the "
-            "delivery measured by the encoders; the robot hit its configuration's ball. From "
-            f"shot to shot differ (standard deviations, assumptions): restitution {100 * s.restitution:g} % "
-            f"from hit to hit and {100 * s.sample:g} % from ball to ball, {monitor}.",
-        ]
-    elif record.entry.simulated:
+            "delivery measured by the encoders; the robot hit its configuration's ball. "
+            f"{differ} {scatter}"
+        )
+        in_lock_step = (
+            f"{differ} supply pressure {100 * s.supply:g} %, {scatter} Each swing begins from the same armed "
+            "instant: the robot's own scatter from swing to swing is not in it."
+        )
         limits[:0] = [
             "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
             "the behaviour of models, not of balls.",
-            f"From shot to shot differ (standard deviations, assumptions): supply pressure "
-            f"{100 * s.supply:g} %, restitution {100 * s.restitution:g} % from hit to hit and "
-            f"{100 * s.sample:g} % from ball to ball, {monitor}. Each swing begins from the same "
-            "armed instant: the robot's own scatter from swing to swing is not in it.",
+            in_real_time if record.entry.real_time else in_lock_step,
         ]
     if errors := [e for shot in record.shots if (e := shot.carry_measured_error_m) is not None]:
         limits.append(
