@@ -58,7 +58,7 @@ class CampaignProgress(Watcher):
         plan: CampaignPlan,
         publish: Callable[[dict[str, Any]], None] = lambda message: None,
     ) -> None:
-        """`publish` gets the message after each shot, event and change of state."""
+        """`publish` gets the message after each shot of this run, event and change of state."""
         self._plan, self._entry, self._publish = plan, entry, publish
         trials = all_trials(plan)
         self._open: dict[tuple[int, int], PlannedShot] = {(t.block, t.position): t for t in trials}
@@ -117,7 +117,8 @@ class CampaignProgress(Watcher):
         elif self._entry.real_time:
             self._times.append(shot.time_utc.timestamp())
         self._time_left()
-        self._publish(self.message)
+        if not self._replaying:
+            self._publish(self.message)
 
     def set_aside(self, block: int) -> None:
         """Open a block again; its shots so far do not count."""
