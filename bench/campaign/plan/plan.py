@@ -229,7 +229,7 @@ class Analysis:
     power: Annotated[float, Range(0.5, 0.9999, "")]
     drift: Literal["linear", "none"]
     """Whether the control ball removes drift within blocks; the report also has the other analysis."""
-    reference: str = field(default="", metadata={"optional": True})
+    reference: str
     """Level that the report compares the others with; empty: the first one."""
 
 
