@@ -7,7 +7,7 @@ from dataclasses import asdict
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Engine, Row, func, select
+from sqlalchemy import Engine, func, select
 
 from bench.base.errors import BenchError
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics, aerodynamics_values
@@ -152,7 +152,7 @@ def _kind_of(values: Values) -> CalibrationKind:
     return next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
 
 
-def _entry(r: Row[Any]) -> Entry:
+def _entry(r: Any) -> Entry:
     kind = CalibrationKind(r.kind)
     location = f"calibration {kind} version {r.version} in the database"
     return Entry(

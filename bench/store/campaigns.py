@@ -13,7 +13,7 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import Any, NamedTuple, TypeVar, get_type_hints
 
-from sqlalchemy import Connection, Engine, Executable, Row, Select, Table, func, insert, select, update
+from sqlalchemy import Connection, Engine, Executable, Select, Table, func, insert, select, update
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from bench.base.errors import BenchError, Refused
@@ -188,7 +188,7 @@ class CampaignStore:
     def last_shot(self, campaign: str) -> int:
         """Return the number of its last shot; 0 before the first."""
         c = SHOTS.c
-        return self._found(select(func.max(c.shot)).where(c.campaign == campaign))[0][0] or 0
+        return int(self._found(select(func.max(c.shot)).where(c.campaign == campaign))[0][0] or 0)
 
     def add_note(self, campaign: str, note: ShotNote) -> None:
         """Add a person's note on a shot.
@@ -324,7 +324,7 @@ class CampaignStore:
         query = select(*(c[name] for name in get_type_hints(record))).where(c.campaign == campaign)
         return [record(*row) for row in self._found(query.order_by(*(c[name] for name in order)))]
 
-    def _found(self, query: Select[Any]) -> Sequence[Row[Any]]:
+    def _found(self, query: Executable) -> Sequence[Any]:
         """Return the rows of `query`."""
         return self._read(lambda connection: connection.execute(query).all())
 

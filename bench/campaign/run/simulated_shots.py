@@ -136,7 +136,13 @@ def shot_row(
 ) -> Shot:
     """Return the row of shot `number`, taken as `step` with ball `sample` in the measured `air`."""
     trial, arm = step.trial, step.trial.arm
-    weather = (None, None, None) if air is None else (air.temperature, air.pressure, air.relative_humidity)
+    weather: dict[str, Any] = {}
+    if air is not None:
+        weather = {
+            "air_temperature_k": air.temperature,
+            "air_pressure_pa": air.pressure,
+            "relative_humidity": air.relative_humidity,
+        }
     return Shot.from_measurements(
         shot=number,
         block=trial.block,
@@ -154,7 +160,7 @@ def shot_row(
         delivery=delivery,
         launch=launch,
         flight=None,
-        **dict(zip(("air_temperature_k", "air_pressure_pa", "relative_humidity"), weather, strict=True)),
+        **weather,
     )
 
 
