@@ -80,7 +80,7 @@ def carry_columns(
             error = v.carry_error(launch, around.air, around.wind, around.turf)
     except ValueError as fault:
         return {}, f"no flight: {fault}"
-    source = plan.analysis.carry or "reference"
+    source: str = plan.analysis.carry or "reference"
     if simulated is not None and (not plan.analysis.carry or (source == "measured" and entry is None)):
         source = "simulated"  # a simulated ball without measurement has its model's flight
     flight_source = "simulated" if source == "monitor" else source

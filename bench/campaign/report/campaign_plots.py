@@ -245,10 +245,11 @@ def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Pi
                 continue
             middle = pair.difference / unit.size
             low, high = pair.low_together / unit.size, pair.high_together / unit.size
-            filled = {} if pair.verdict in {"different", "both"} else {"markerfacecolor": "white"}
             reach = [[middle - low], [high - middle]]
-            style = {"color": colour_of(place), "marker": marker_of(place), "markersize": 5, "capsize": 3}
-            axes.errorbar([middle], [row], xerr=reach, **style, **filled)
+            style: dict[str, Any] = {"color": colour_of(place), "marker": marker_of(place), "capsize": 3}
+            if pair.verdict not in {"different", "both"}:
+                style["markerfacecolor"] = "white"
+            axes.errorbar([middle], [row], xerr=reach, markersize=5, **style)
         axes.set_yticks(range(len(places)), [column.compared[place].level.name for place in places])
         axes.set_ylim(len(places) - 0.4, -0.6)
         axes.xaxis.set_major_locator(MaxNLocator(5))

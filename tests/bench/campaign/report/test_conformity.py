@@ -275,7 +275,7 @@ def test_flight_model_matches_overall_distance_standard() -> None:
     for name, rule in rule_sets().items():
         if rule.family == "ods" and rule.set_up is not None:
             s = rule.set_up
-            launch = Launch(s.ball_speed, s.launch_angle, 0.0, s.spin_rpm * pi / 30, 0.0)
+            launch = Launch(s.ball_speed, radians(s.launch_angle_deg), 0.0, s.spin_rpm * pi / 30, 0.0)
             total[name] = fly(launch, TEST_AIR).total / YARD
     assert total["ods-2004"] == pytest.approx(317.0, abs=9.0)
     assert 12.0 < total["ods-2030"] - total["ods-2004"] < 16.0
