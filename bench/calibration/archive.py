@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict
 from datetime import datetime, timedelta
+from typing import Any
 
-from sqlalchemy import Engine, func, insert, select
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy import Engine, func, select
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import checked_values
@@ -23,7 +23,14 @@ from bench.calibration.calibration import (
     values_of,
 )
 from bench.config import Configuration, database_url
-from bench.store.database import BallAerodynamicsRow, CalibrationRow, Row, is_there, open_database
+from bench.store.database import (
+    BALL_AERODYNAMICS,
+    CALIBRATIONS,
+    add_version,
+    is_there,
+    open_database,
+    transaction,
+)
 
 
 def keep_calibration(
@@ -72,39 +79,26 @@ def add_calibration(
         raise BenchError(
             f"calibrate {kind}: expires", f"{expires}", f"later than {date}", "Give it a later day."
         )
-    subject = getattr(values, "club", "")
-    newest = select(func.max(CalibrationRow.version)).where(
-        CalibrationRow.bench == bench, CalibrationRow.kind == kind.value
-    )
-    statement = insert(CalibrationRow).values(
-        bench=bench,
-        kind=kind.value,
-        version=func.coalesce(newest.scalar_subquery(), 0) + 1,
-        subject=subject,
-        date=date,
-        expires=expires,
-        by=by.strip(),
-        method=method.strip(),
-        note=note.strip(),
-        content=content_of(values),
-    )
-    with database.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
-        before = connection.scalar(
-            select(func.max(CalibrationRow.date)).where(
-                CalibrationRow.bench == bench, CalibrationRow.kind == kind.value
-            )
-        )
+    row = {
+        "bench": bench,
+        "kind": kind.value,
+        "subject": getattr(values, "club", ""),
+        "date": date,
+        "expires": expires,
+        "by": by.strip(),
+        "method": method.strip(),
+        "note": note.strip(),
+        "content": content_of(values),
+    }
+    c = CALIBRATIONS.c
+    with transaction(database, writes=True) as connection:
+        before = connection.scalar(select(func.max(c.date)).where(c.bench == bench, c.kind == kind.value))
         if before is not None and before > date:
             expected = f"after the one before, of {before:%Y-%m-%d %H:%M:%S} UTC"
             action = "Set this machine's clock: a calibration is only superseded by a later one."
             raise BenchError(f"calibrate {kind}: date", f"{date:%Y-%m-%d %H:%M:%S} UTC", expected, action)
-        try:
-            identity = connection.execute(statement.returning(CalibrationRow.id)).scalar_one()
-        except IntegrityError as error:  # SQLite writes in turn, a server may not
-            found = "a calibration with this timestamp exists"
-            action = "Run the same command again."
-            raise BenchError(f"calibrate {kind}", found, "a later timestamp", action) from error
-    return next(entry for entry in list_calibrations(database, bench, kind) if entry.id == identity)
+        version = add_version(connection, CALIBRATIONS, "kind", row)
+    return next(entry for entry in list_calibrations(database, bench, kind) if entry.version == version)
 
 
 def list_calibrations(database: Engine, bench: str, kind: CalibrationKind | None = None) -> list[Entry]:
@@ -113,11 +107,12 @@ def list_calibrations(database: Engine, bench: str, kind: CalibrationKind | None
     Raises:
         ExceptionGroup: one BenchError per mistake in a row that golfbench did not write.
     """
-    wanted = select(CalibrationRow).where(CalibrationRow.bench == bench)
+    c = CALIBRATIONS.c
+    wanted = select(CALIBRATIONS).where(c.bench == bench)
     if kind is not None:
-        wanted = wanted.where(CalibrationRow.kind == kind.value)
+        wanted = wanted.where(c.kind == kind.value)
     with database.connect() as connection:
-        rows = connection.execute(wanted.order_by(CalibrationRow.date, CalibrationRow.id)).all()
+        rows = connection.execute(wanted.order_by(c.date, c.id)).all()
     return [_entry(row) for row in rows]
 
 
@@ -154,8 +149,7 @@ def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
         return effective_calibration(database, c.bench.id, when, club=c.swing.club, required=required)
 
 
-def _entry(row: object) -> Entry:
-    r: CalibrationRow = row  # type: ignore[assignment]  # a row has the columns of its table
+def _entry(r: Any) -> Entry:
     kind = CalibrationKind(r.kind)
     location = f"calibration {kind} version {r.version} in the database"
     return Entry(
@@ -172,38 +166,29 @@ def _entry(row: object) -> Entry:
     )
 
 
-_TABLE = Row.metadata.tables[BallAerodynamicsRow.__tablename__]
-
-
 def add_aerodynamics(
     database: Engine, bench: str, values: BallAerodynamics, *, date: datetime, source: str, by: str
 ) -> AerodynamicsEntry:
     """Store `values` as the next version of their ball and return the entry.
 
     Raises:
-        BenchError: `source` or `by` is empty, or another process added one at the same instant.
+        BenchError: `source` or `by` is empty.
     """
     location = f"calibrate aerodynamics {values.ball}"
     for name, found in (("--source", source), ("--by", by)):
         if not found.strip():
             raise BenchError(f"{location}: {name}", "missing", "a text", f"State the text with {name}.")
-    source, by, c = source.strip(), by.strip(), _TABLE.c
-    newest = select(func.max(c.version)).where((c.bench == bench) & (c.ball == values.ball))
+    source, by = source.strip(), by.strip()
     row = {
         "bench": bench,
         "ball": values.ball,
-        "version": func.coalesce(newest.scalar_subquery(), 0) + 1,
         "date": date,
         "source": source,
         "by": by,
         "content": asdict(values),
     }
-    try:
-        with database.execution_options(sqlite_begin="IMMEDIATE").begin() as connection:
-            version = connection.execute(insert(_TABLE).values(row).returning(c.version)).scalar_one()
-    except IntegrityError as error:  # SQLite writes in turn, a server may not
-        expected, action = "a later version", "Run the same command again."
-        raise BenchError(location, "a calibration with this version exists", expected, action) from error
+    with transaction(database, writes=True) as connection:
+        version = add_version(connection, BALL_AERODYNAMICS, "ball", row)
     return AerodynamicsEntry(version, date, source, by, values)
 
 
@@ -213,7 +198,7 @@ def list_aerodynamics(database: Engine, bench: str) -> list[AerodynamicsEntry]:
     Raises:
         ExceptionGroup: one BenchError per mistake in a row that golfbench did not write.
     """
-    c = _TABLE.c
+    c = BALL_AERODYNAMICS.c
     query = select(c.version, c.date, c.source, c.by, c.content, c.ball).where(c.bench == bench)
     with database.connect() as connection:
         rows = connection.execute(query.order_by(c.ball, c.version)).all()

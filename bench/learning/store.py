@@ -9,11 +9,11 @@ from hashlib import sha256
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Engine, func, insert, select
+from sqlalchemy import Engine, select
 
 from bench.base.errors import BenchError
 from bench.learning.learn import LearningResult
-from bench.store.database import LearnedSwingRow
+from bench.store.database import LEARNED_SWINGS, add_version, transaction
 from bench.swing.correction import Correction, basis_of, digest_of
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
@@ -118,9 +118,6 @@ def stored(
 
 def keep(database: Engine, entry: Learned) -> int:
     """Add `entry` as the next version of its bench and profile, and return that number."""
-    newest = select(func.max(LearnedSwingRow.version)).where(
-        LearnedSwingRow.bench == entry.bench, LearnedSwingRow.profile == entry.profile
-    )
     c = entry.conditions
     values = {
         "bench": entry.bench,
@@ -135,10 +132,8 @@ def keep(database: Engine, entry: Learned) -> int:
         "within": entry.within,
         "content": {"weights": list(entry.weights), **entry.content},
     }
-    with database.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
-        version = int(connection.scalar(newest) or 0) + 1
-        connection.execute(insert(LearnedSwingRow).values(**values, version=version))
-    return version
+    with transaction(database, writes=True) as connection:
+        return add_version(connection, LEARNED_SWINGS, "profile", values)
 
 
 def learned_swings(database: Engine, bench: str, profile: str) -> list[Learned]:
@@ -147,9 +142,10 @@ def learned_swings(database: Engine, bench: str, profile: str) -> list[Learned]:
     Raises:
         BenchError: an entry was not written by golfbench.
     """
-    wanted = select(LearnedSwingRow).where(LearnedSwingRow.bench == bench, LearnedSwingRow.profile == profile)
+    c = LEARNED_SWINGS.c
+    wanted = select(LEARNED_SWINGS).where(c.bench == bench, c.profile == profile)
     with database.connect() as connection:
-        rows = connection.execute(wanted.order_by(LearnedSwingRow.version)).all()
+        rows = connection.execute(wanted.order_by(c.version)).all()
     return [_entry(row) for row in rows]
 
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict
 from datetime import datetime
-from functools import wraps
-from typing import Any, NamedTuple, ParamSpec, TypeVar, cast, get_type_hints
+from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 from sqlalchemy import Connection, Engine, Executable, Select, Table, func, insert, select, update
 from sqlalchemy.exc import IntegrityError, OperationalError
@@ -21,6 +19,7 @@ from sqlalchemy.exc import IntegrityError, OperationalError
 from bench.base.errors import BenchError, Refused
 from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store.database import (
+    AIR_READINGS,
     CAMPAIGNS,
     EVENTS,
     EXCLUSIONS,
@@ -35,6 +34,7 @@ from bench.store.database import (
     transaction,
 )
 from bench.store.records import (
+    AirReading,
     CampaignEntry,
     CampaignRun,
     CampaignState,
@@ -46,9 +46,9 @@ from bench.store.records import (
     Standing,
 )
 
-_Call = ParamSpec("_Call")
 _Answer = TypeVar("_Answer")
 _Row = TypeVar("_Row")
+_ENTRY = tuple(CampaignEntry.__dataclass_fields__)
 
 
 class StoredShot(NamedTuple):
@@ -59,22 +59,6 @@ class StoredShot(NamedTuple):
     bytes: int = 0
     set_aside: bool = False
     """Whether the shot's block was restarted after the shot."""
-
-
-def _again_if_lost(method: Callable[_Call, _Answer]) -> Callable[_Call, _Answer]:
-    """Repeat a transaction that only reads if its connection is lost and the store waits for it."""
-
-    @wraps(method)
-    def repeated(*arguments: _Call.args, **options: _Call.kwargs) -> _Answer:
-        store = cast(CampaignStore, arguments[0])
-        while True:
-            try:
-                return method(*arguments, **options)
-            except OperationalError as error:
-                if not store.is_to_be_repeated(error):
-                    raise
-
-    return repeated
 
 
 class CampaignStore:
@@ -91,22 +75,13 @@ class CampaignStore:
         """The database, for its other contents."""
         return self._engine
 
-    def is_to_be_repeated(self, error: OperationalError) -> bool:
-        """Return whether `error` has cut off a transaction that this store repeats."""
-        return self.waiting is not None and is_away(error)
-
     def begin(self, entry: CampaignEntry) -> None:
         """Add a campaign.
 
         Raises:
             Refused: the id exists already.
         """
-        values = asdict(entry) | {
-            "state": CampaignState.RUNNING,
-            "reason": "",
-            "requested": "",
-            "requested_by": "",
-        }
+        values = asdict(entry) | Standing(CampaignState.RUNNING, "", "")._asdict()
 
         def work(connection: Connection) -> None:
             last = connection.scalar(select(func.max(CAMPAIGNS.c.number))) or 0
@@ -119,80 +94,60 @@ class CampaignStore:
                 f"campaign {entry.id}", "the id exists already", "a new id", "Start it again in a second."
             ) from None
 
-    @_again_if_lost
     def entry(self, campaign: str) -> CampaignEntry:
         """Return a campaign's entry.
 
         Raises:
             BenchError: there is no such campaign.
         """
-        names = CampaignEntry.__dataclass_fields__
-        with self._reading() as connection:
-            query = select(*(CAMPAIGNS.c[name] for name in names)).where(CAMPAIGNS.c.id == campaign)
-            found = connection.execute(query).mappings().first()
-        if found is None:
-            raise BenchError(
-                f"campaign {campaign}",
-                "no such campaign",
-                "the ID of a campaign",
-                "See golfbench campaign list.",
-            )
-        return CampaignEntry(**found)
+        query = select(*(CAMPAIGNS.c[name] for name in _ENTRY)).where(CAMPAIGNS.c.id == campaign)
+        if not (rows := self._found(query)):
+            action = "See golfbench campaign list."
+            raise BenchError(f"campaign {campaign}", "no such campaign", "the ID of a campaign", action)
+        return CampaignEntry(*rows[0])
 
-    @_again_if_lost
     def entries(self) -> list[tuple[CampaignEntry, Standing, Counter[str]]]:
         """Return all campaigns with their states and shots by status, the last started first.
 
         A shot that is excluded by hand counts as excluded.
         """
-        names = CampaignEntry.__dataclass_fields__
-        last_first = CAMPAIGNS.c.number.desc(), CAMPAIGNS.c.date.desc()
-        with self._reading() as connection:
-            rows = connection.execute(select(CAMPAIGNS).order_by(*last_first)).mappings().all()
+        c, s = CAMPAIGNS.c, SHOTS.c
+        every = select(CAMPAIGNS).order_by(c.number.desc(), c.date.desc())
+        grouped = select(s.campaign, s.status, func.count()).group_by(s.campaign, s.status)
+
+        def work(connection: Connection) -> list[tuple[CampaignEntry, Standing, Counter[str]]]:
             counts: dict[str, Counter[str]] = {}
-            grouped = select(SHOTS.c.campaign, SHOTS.c.status, func.count()).group_by(
-                SHOTS.c.campaign, SHOTS.c.status
-            )
             for campaign, status, number in connection.execute(grouped):
                 counts.setdefault(campaign, Counter())[status] = number
             for campaign, number in connection.execute(_excluded_by_hand()):
                 counts[campaign][ShotStatus.VALID] -= number
                 counts[campaign][ShotStatus.EXCLUDED] += number
-        return [
-            (
-                CampaignEntry(**{name: row[name] for name in names}),
-                Standing(CampaignState(row["state"]), row["reason"], row["requested"], row["requested_by"]),
-                counts.get(row["id"], Counter()),
-            )
-            for row in rows
-        ]
+            return [
+                (
+                    CampaignEntry(**{name: row[name] for name in _ENTRY}),
+                    _standing(row[name] for name in Standing._fields),
+                    counts.get(row["id"], Counter()),
+                )
+                for row in connection.execute(every).mappings()
+            ]
 
-    @_again_if_lost
+        return self._read(work)
+
     def standing(self, campaign: str) -> Standing:
         """Return the state of a campaign."""
         columns = (CAMPAIGNS.c[name] for name in Standing._fields)
-        with self._reading() as connection:
-            row = connection.execute(select(*columns).where(CAMPAIGNS.c.id == campaign)).one()
-        return Standing(CampaignState(row[0]), *row[1:])
+        return _standing(self._found(select(*columns).where(CAMPAIGNS.c.id == campaign))[0])
 
     def change(self, campaign: str, **values: Any) -> None:
         """Set columns of `Standing`."""
         self._execute(update(CAMPAIGNS).where(CAMPAIGNS.c.id == campaign).values(**values))
 
-    @_again_if_lost
     def shots(self, campaign: str) -> list[StoredShot]:
         """Return its shots in order."""
-        query = select(SHOTS).where(SHOTS.c.campaign == campaign).order_by(SHOTS.c.shot)
-        with self._reading() as connection:
-            return [
-                StoredShot(
-                    Shot(**{name: row[name] for name in COLUMNS} | {"status": ShotStatus(row["status"])}),
-                    row["file"],
-                    row["bytes"],
-                    bool(row["set_aside"]),
-                )
-                for row in connection.execute(query).mappings()
-            ]
+        c = SHOTS.c
+        columns = (*(c[name] for name in COLUMNS), c.file, c.bytes, c.set_aside)
+        rows = self._found(select(*columns).where(c.campaign == campaign).order_by(c.shot))
+        return [StoredShot(_shot(row[:-3]), *row[-3:]) for row in rows]
 
     def events(self, campaign: str) -> list[Event]:
         """Return its events in order."""
@@ -230,12 +185,10 @@ class CampaignStore:
             insert(EVENTS).values(campaign=campaign, **event._asdict()),
         )
 
-    @_again_if_lost
     def last_shot(self, campaign: str) -> int:
         """Return the number of its last shot; 0 before the first."""
         c = SHOTS.c
-        with self._reading() as connection:
-            return connection.scalar(select(func.max(c.shot)).where(c.campaign == campaign)) or 0
+        return int(self._found(select(func.max(c.shot)).where(c.campaign == campaign))[0][0] or 0)
 
     def add_note(self, campaign: str, note: ShotNote) -> None:
         """Add a person's note on a shot.
@@ -289,7 +242,6 @@ class CampaignStore:
 
         return self._write(work)
 
-    @_again_if_lost
     def last_answered(self, entry: CampaignEntry, kind: str) -> tuple[str, Prompt] | None:
         """Return the bench's prompt of `kind` that was answered last, with its campaign; None if none was.
 
@@ -305,17 +257,27 @@ class CampaignStore:
             .order_by(c.answer.desc(), c.number.desc())
             .limit(1)
         )
-        with self._reading() as connection:
-            row = connection.execute(query).first()
-        return None if row is None else (row[0], Prompt(*row[1:]))
+        return next(((row[0], Prompt(*row[1:])) for row in self._found(query)), None)
 
-    @_again_if_lost
     def hits(self, scope: str) -> Counter[Hit]:
         """Return the number of uses of each part."""
         c = HITS.c
-        with self._reading() as connection:
-            rows = connection.execute(select(c.kind, c.name, c.sample, c.hits).where(c.scope == scope))
-            return Counter({Hit(kind, name, sample): hits for kind, name, sample, hits in rows})
+        rows = self._found(select(c.kind, c.name, c.sample, c.hits).where(c.scope == scope))
+        return Counter({Hit(kind, name, sample): hits for kind, name, sample, hits in rows})
+
+    def add_air(self, reading: AirReading) -> None:
+        """Add a reading of the air."""
+        self._execute(insert(AIR_READINGS).values(reading._asdict()))
+
+    def newest_air(self, bench: str, since: datetime) -> AirReading | None:
+        """Return the reading added last at `bench`, of those dated `since` or later; None if there is none.
+
+        The last one added is the newest whatever the clock said, which may have been set back.
+        """
+        c = AIR_READINGS.c
+        columns = (c[name] for name in AirReading._fields)
+        query = select(*columns).where((c.bench == bench) & (c.date >= since)).order_by(c.id.desc()).limit(1)
+        return next((AirReading(*row) for row in self._found(query)), None)
 
     def add(
         self,
@@ -356,14 +318,28 @@ class CampaignStore:
             location, expected = f"campaign {entry.id}", "one runner a campaign"
             raise Refused(location, f"{there} there already", expected, "Stop the other runner.") from None
 
-    @_again_if_lost
     def _rows(self, table: Table, record: type[_Row], campaign: str, *order: str) -> list[_Row]:
         """Return the `record`s of a campaign in `table`, in order of these columns."""
         c = table.c
         query = select(*(c[name] for name in get_type_hints(record))).where(c.campaign == campaign)
-        with self._reading() as connection:
-            rows = connection.execute(query.order_by(*(c[name] for name in order)))
-            return [record(*row) for row in rows]
+        return [record(*row) for row in self._found(query.order_by(*(c[name] for name in order)))]
+
+    def _found(self, query: Executable) -> Sequence[Any]:
+        """Return the rows of `query`."""
+        return self._read(lambda connection: connection.execute(query).all())
+
+    def _read(self, work: Callable[[Connection], _Answer]) -> _Answer:
+        """Return the answer of `work`, which only reads, from one transaction.
+
+        It is repeated if its connection is lost and the store waits for its database.
+        """
+        while True:
+            try:
+                with transaction(self._engine, writes=False, waiting=self.waiting) as connection:
+                    return work(connection)
+            except OperationalError as error:
+                if not self._repeats(error):
+                    raise
 
     def _write(self, work: Callable[[Connection], _Answer]) -> _Answer:
         """Do `work` in one transaction that takes the write lock at once, and return its answer.
@@ -383,8 +359,12 @@ class CampaignStore:
                             self._note_stored(connection)
                     return answers[-1]
             except OperationalError as error:
-                if not self.is_to_be_repeated(error):
+                if not self._repeats(error):
                     raise
+
+    def _repeats(self, error: OperationalError) -> bool:
+        """Return whether `error` has cut off a transaction that this store repeats."""
+        return self.waiting is not None and is_away(error)
 
     def _execute(self, *statements: Executable) -> None:
         """Execute `statements` in one transaction, once."""
@@ -406,8 +386,15 @@ class CampaignStore:
         if not connection.execute(mine.values(writes=self._writes)).rowcount:
             connection.execute(insert(WRITERS).values(id=self._writer, writes=self._writes))
 
-    def _reading(self) -> AbstractContextManager[Connection]:
-        return transaction(self._engine, writes=False, waiting=self.waiting)
+
+def _standing(values: Iterable[Any]) -> Standing:
+    state, *others = values
+    return Standing(CampaignState(state), *others)
+
+
+def _shot(values: Sequence[Any]) -> Shot:
+    found = dict(zip(COLUMNS, values, strict=True))
+    return Shot(**found | {"status": ShotStatus(found["status"])})
 
 
 def _excluded_by_hand() -> Select[str, int]:

@@ -29,6 +29,7 @@ from sqlalchemy import (
     Engine,
     ForeignKey,
     Integer,
+    MetaData,
     String,
     Table,
     UniqueConstraint,
@@ -36,20 +37,24 @@ from sqlalchemy import (
     event,
     false,
     func,
+    insert,
     inspect,
     select,
 )
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.records.shot.shot import Shot
 from bench.store.records import (
+    AirReading,
+    BallAerodynamicsRow,
+    CalibrationRow,
     CampaignEntry,
     CampaignRun,
     Event,
     Hit,
+    LearnedSwingRow,
     Prompt,
     ShotExclusion,
     ShotNote,
@@ -74,55 +79,16 @@ class UtcTime(TypeDecorator[datetime]):
         return None if value is None else value.replace(tzinfo=value.tzinfo or UTC).astimezone(UTC)
 
 
-class Row(DeclarativeBase):
-    """Base of all tables."""
+METADATA = MetaData()
+"""All tables."""
 
-    type_annotation_map = {datetime: UtcTime, dict[str, Any]: JSON, float: Double}  # noqa: RUF012 - as SQLAlchemy wants it
-
-
-class SchemaVersionRow(Row):
-    """The version of the tables, in one row."""
-
-    __tablename__ = "schema_version"
-
-    version: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    date: Mapped[datetime]
-
-
-class CalibrationRow(Row):
-    """One calibration. Rows are only added: a newer one supersedes, none is changed."""
-
-    __tablename__ = "calibrations"
-    __table_args__ = (UniqueConstraint("bench", "kind", "version"),)
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    bench: Mapped[str]
-    kind: Mapped[str]
-    version: Mapped[int]
-    """Rises by one per bench and kind."""
-    subject: Mapped[str]
-    """Name of the calibrated part if there are several of a kind (the club), else empty."""
-    date: Mapped[datetime]
-    expires: Mapped[datetime]
-    by: Mapped[str]
-    method: Mapped[str]
-    note: Mapped[str]
-    content: Mapped[dict[str, Any]]
-    """The values, as `bench.calibration.calibration` names them."""
-
-
-def _only_add(table: Table, what: str) -> None:
-    """Let the database itself refuse to change or delete rows of `table`."""
-    for action in ("UPDATE", "DELETE"):
-        trigger = DDL(  # type: ignore[no-untyped-call]
-            f"CREATE TRIGGER {table.name}_no_{action.lower()} BEFORE {action} ON {table.name} "
-            f"BEGIN SELECT RAISE(ABORT, '{what} are only added'); END"
-        ).execute_if(dialect="sqlite")
-        event.listen(table, "after_create", trigger)
-
-
-_only_add(Row.metadata.tables[CalibrationRow.__tablename__], "calibrations")
-
+SCHEMA = Table(
+    "schema_version",
+    METADATA,
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("date", UtcTime, nullable=False),
+)
+"""The version of the tables, in one row."""
 
 _TYPES = {int: Integer, float: Double, bool: Boolean, datetime: UtcTime, Mapping[str, Any]: JSON}
 """Type of a column by that of its field; others, texts and codes, are String."""
@@ -142,12 +108,12 @@ def _of_campaign(name: str, record: type, *key: str, more: Iterable[Column[Any]]
     campaign: Column[str] = Column(
         "campaign", ForeignKey("campaigns.id"), primary_key=bool(key), index=not key
     )
-    return Table(name, Row.metadata, *number, campaign, *_columns(record, *key), *more)
+    return Table(name, METADATA, *number, campaign, *_columns(record, *key), *more)
 
 
 CAMPAIGNS = Table(
     "campaigns",
-    Row.metadata,
+    METADATA,
     *_columns(CampaignEntry, "id"),
     *_columns(Standing),
     Column("number", Integer, nullable=False),
@@ -181,7 +147,7 @@ PROMPTS = _of_campaign(
 
 HITS = Table(
     "hit_counts",
-    Row.metadata,
+    METADATA,
     Column("scope", String, primary_key=True),
     *_columns(Hit, *Hit._fields),
     Column("hits", Integer, nullable=False),
@@ -189,83 +155,32 @@ HITS = Table(
 """Number of uses of a ball, a club, a valve, in the `CampaignEntry.hit_scope`."""
 
 WRITERS = Table(
-    "writers", Row.metadata, Column("id", String, primary_key=True), Column("writes", Integer, nullable=False)
+    "writers", METADATA, Column("id", String, primary_key=True), Column("writes", Integer, nullable=False)
 )
 """Number of the last stored write, from 1, of each program that repeats writes of unknown success."""
 
 
-class LearnedSwingRow(Row):
-    """One learned correction of a profile. Rows are only added; the newest valid one is used."""
+def _append_only(name: str, record: type, *versioned: str) -> Table:
+    """Return a table of `record`s, whose versions rise by one per value of the columns `versioned`.
 
-    __tablename__ = "learned_swings"
-    __table_args__ = (UniqueConstraint("bench", "profile", "version"),)
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    bench: Mapped[str]
-    profile: Mapped[str]
-    version: Mapped[int]
-    """Version, counted for each bench and profile."""
-    date: Mapped[datetime]
-    simulated: Mapped[bool]
-    source: Mapped[str]
-    """Source of the delivery that it was learned from."""
-    digest: Mapped[str]
-    """Digest of the profile's tables."""
-    club: Mapped[str]
-    supply_pressure: Mapped[float]
-    """Regulated pressure (Pa absolute)."""
-    temperature: Mapped[float]
-    """K"""
-    within: Mapped[bool]
-    """The target was reached."""
-    content: Mapped[dict[str, Any]]
-    """Weights of the basis functions, and for people target, swings and scatter."""
+    The database itself refuses to change or delete its rows.
+    """
+    number = Column("id", Integer, primary_key=True)
+    unique = [UniqueConstraint(*versioned, "version")] if versioned else []
+    table = Table(name, METADATA, number, *_columns(record), *unique)
+    for action in ("UPDATE", "DELETE"):
+        trigger = DDL(  # type: ignore[no-untyped-call]
+            f"CREATE TRIGGER {name}_no_{action.lower()} BEFORE {action} ON {name} "
+            f"BEGIN SELECT RAISE(ABORT, '{name.replace('_', ' ')} are only added'); END"
+        ).execute_if(dialect="sqlite")
+        event.listen(table, "after_create", trigger)
+    return table
 
 
-_only_add(Row.metadata.tables[LearnedSwingRow.__tablename__], "learned swings")
-
-
-class AirReadingRow(Row):
-    """One reading of the air at a bench. Rows are only added."""
-
-    __tablename__ = "air_readings"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    bench: Mapped[str] = mapped_column(index=True)
-    date: Mapped[datetime]
-    temperature: Mapped[float]
-    """K"""
-    pressure: Mapped[float]
-    """Ambient pressure (Pa)."""
-    relative_humidity: Mapped[float]
-    by: Mapped[str]
-
-
-_only_add(Row.metadata.tables[AirReadingRow.__tablename__], "readings of the air")
-
-
-class BallAerodynamicsRow(Row):
-    """Aerodynamic coefficients measured on one ball model. Rows are only added: the newest is used."""
-
-    __tablename__ = "ball_aerodynamics"
-    __table_args__ = (UniqueConstraint("bench", "ball", "version"),)
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    bench: Mapped[str]
-    ball: Mapped[str]
-    version: Mapped[int]
-    """Rises by one per bench and ball."""
-    date: Mapped[datetime]
-    """Time of the measurement."""
-    source: Mapped[str]
-    """Device and place that the flight data come from."""
-    by: Mapped[str]
-    content: Mapped[dict[str, Any]]
-    """The values, as `bench.calibration.ball_aerodynamics` names them."""
-
-
-_only_add(Row.metadata.tables[BallAerodynamicsRow.__tablename__], "aerodynamics of balls")
-
+CALIBRATIONS = _append_only("calibrations", CalibrationRow, "bench", "kind")
+LEARNED_SWINGS = _append_only("learned_swings", LearnedSwingRow, "bench", "profile")
+AIR_READINGS = _append_only("air_readings", AirReading)
+BALL_AERODYNAMICS = _append_only("ball_aerodynamics", BallAerodynamicsRow, "bench", "ball")
 
 SCHEMA_VERSION = 13
 """Version of the tables."""
@@ -362,10 +277,22 @@ def _take_lock(connection: Connection, writes: bool) -> None:
     """Take the lock now, not at the first query; writers of a server wait for each other as SQLite's do."""
     if connection.dialect.name != "postgresql":
         if not writes:
-            connection.scalar(select(func.count()).select_from(SchemaVersionRow))
+            connection.scalar(select(func.count()).select_from(SCHEMA))
     elif writes:
         connection.exec_driver_sql(f"SET LOCAL lock_timeout = {round(1000 * BUSY_TIMEOUT)}")
         connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_WRITERS})")
+
+
+def add_version(connection: Connection, table: Table, key: str, row: Mapping[str, Any]) -> int:
+    """Add `row` to an append-only table as the next version of its bench and `key`; return that version.
+
+    `connection` holds the write lock, see `transaction`.
+    """
+    c = table.c
+    mine = (c.bench == row["bench"]) & (c[key] == row[key])
+    version = int(connection.scalar(select(func.max(c.version)).where(mine)) or 0) + 1
+    connection.execute(insert(table).values(**row, version=version))
+    return version
 
 
 def _wait(
@@ -398,16 +325,16 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         OSError: its folder cannot be made.
     """
     location = url.render_as_string(hide_password=True)
-    read_only = False
-    if url.get_backend_name() == "sqlite":
+    is_sqlite, read_only = url.get_backend_name() == "sqlite", False
+    if is_sqlite:
         location = str(url.database)
         Path(location).parent.mkdir(parents=True, exist_ok=True)
         if read_only := is_read_only(Path(location)):
             url = _read_only_url(Path(location))
     try:
         # A connection that a restart of the server has cut is replaced when it is next used.
-        pings = url.get_backend_name() != "sqlite"
-        engine = create_engine(url, connect_args=_connect_arguments(url), pool_pre_ping=pings)
+        arguments = {"timeout": BUSY_TIMEOUT} if is_sqlite else {}
+        engine = create_engine(url, connect_args=arguments, pool_pre_ping=not is_sqlite)
     except ModuleNotFoundError as error:
         raise BenchError(
             location,
@@ -415,7 +342,7 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
             "the database's driver",
             f"Run pip install {error.name}.",
         ) from error
-    if url.get_backend_name() == "sqlite":
+    if is_sqlite:
         event.listen(engine, "connect", _prepare_reading if read_only else _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     try:
@@ -461,10 +388,6 @@ def _log_of(file: Path) -> Path:
     return file.with_name(f"{file.name}-wal")
 
 
-def _connect_arguments(url: URL) -> dict[str, Any]:
-    return {"timeout": BUSY_TIMEOUT} if url.get_backend_name() == "sqlite" else {}
-
-
 def _prepare_reading(connection: Any, _: Any) -> None:
     connection.isolation_level = None
 
@@ -492,9 +415,8 @@ def _make_tables(engine: Engine, location: str, now: datetime) -> None:
             return
     with engine.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
         if not _has_tables(connection, location):  # another process may have been faster
-            Row.metadata.create_all(connection)
-            made = SchemaVersionRow.__table__.insert()  # type: ignore[attr-defined]
-            connection.execute(made.values(version=SCHEMA_VERSION, date=now))
+            METADATA.create_all(connection)
+            connection.execute(insert(SCHEMA).values(version=SCHEMA_VERSION, date=now))
 
 
 def _has_tables(connection: Connection, location: str) -> bool:
@@ -502,12 +424,12 @@ def _has_tables(connection: Connection, location: str) -> bool:
     tables = inspect(connection).get_table_names()
     if not tables:
         return False
-    if SchemaVersionRow.__tablename__ not in tables:
-        found = f"tables {', '.join(sorted(tables)[:5])}, but no {SchemaVersionRow.__tablename__}"
+    if SCHEMA.name not in tables:
+        found = f"tables {', '.join(sorted(tables)[:5])}, but no {SCHEMA.name}"
         raise BenchError(
             location, found, "a database of golfbench, or an empty one", "Set bench.database to another one."
         )
-    version = connection.scalar(select(func.max(SchemaVersionRow.version)))
+    version = connection.scalar(select(func.max(SCHEMA.c.version)))
     if version != SCHEMA_VERSION:
         action = "Use the version of golfbench that wrote it, or name another database: bench.database."
         raise BenchError(location, f"schema version {version}", f"version {SCHEMA_VERSION}", action)

@@ -8,6 +8,8 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from sim.air import Air
+
 
 class CampaignState(StrEnum):
     """State of a campaign."""
@@ -130,6 +132,80 @@ class Prompt(NamedTuple):
     answered: datetime | None = None
     by: str = ""
     """Who answered."""
+
+
+class CalibrationRow(NamedTuple):
+    """A calibration; a newer one supersedes it."""
+
+    bench: str
+    kind: str
+    version: int
+    subject: str
+    """Name of the calibrated part if there are several of a kind (the club), else empty."""
+    date: datetime
+    expires: datetime
+    by: str
+    method: str
+    note: str
+    content: Mapping[str, Any]
+    """The values, as `bench.calibration.calibration` names them."""
+
+
+class LearnedSwingRow(NamedTuple):
+    """A learned correction of a profile; the newest valid one is used."""
+
+    bench: str
+    profile: str
+    version: int
+    date: datetime
+    simulated: bool
+    source: str
+    """Source of the delivery that it was learned from."""
+    digest: str
+    """Digest of the profile's tables."""
+    club: str
+    supply_pressure: float
+    """Regulated pressure (Pa absolute)."""
+    temperature: float
+    """Air temperature (K)."""
+    within: bool
+    """The target was reached."""
+    content: Mapping[str, Any]
+    """Weights of the basis functions, and for people target, swings and scatter."""
+
+
+class BallAerodynamicsRow(NamedTuple):
+    """Aerodynamic coefficients measured on one ball model; the newest are used."""
+
+    bench: str
+    ball: str
+    version: int
+    date: datetime
+    """Time of the measurement."""
+    source: str
+    """Device and place that the flight data come from."""
+    by: str
+    content: Mapping[str, Any]
+    """The values, as `bench.calibration.ball_aerodynamics` names them."""
+
+
+class AirReading(NamedTuple):
+    """A reading of the air at a bench; the newest is used for a limited time."""
+
+    bench: str
+    date: datetime
+    temperature: float
+    """Temperature (K)."""
+    pressure: float
+    """Ambient pressure (Pa)."""
+    relative_humidity: float
+    by: str
+    """Person or instrument that read it."""
+
+    @property
+    def air(self) -> Air:
+        """The air that was read."""
+        return Air(self.temperature, self.pressure, self.relative_humidity)
 
 
 class Hit(NamedTuple):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import CalibrationKind, in_words
 from bench.config import Configuration, database_url
-from bench.store.air_readings import newest_reading
+from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
 from bench.web.answers import InvalidBody, number_in, text_in
 
@@ -233,7 +233,7 @@ def _air(configuration: Configuration, now: datetime) -> dict[str, Any] | None:
     if not is_there(url):
         return None
     with open_database(url, now) as engine:
-        found = newest_reading(engine, bench.id, datetime(1970, 1, 1, tzinfo=UTC))
+        found = CampaignStore(engine).newest_air(bench.id, datetime(1970, 1, 1, tzinfo=UTC))
     if found is None:
         return None
     return {

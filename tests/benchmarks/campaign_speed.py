@@ -23,8 +23,8 @@ from bench.campaign.report.campaign_record import load_record
 from bench.campaign.report.campaign_report import write_campaign_report
 from bench.campaign.report.findings import findings
 from bench.campaign.run.plan_requirements import require_swings
-from bench.campaign.run.runner import Watcher
 from bench.campaign.run.runner_control import new_entry, run_campaign
+from bench.campaign.run.shot_source import Watcher
 from bench.campaign.run.simulated_shots import BEGIN, SimulatedShots
 from bench.config import database_url, load_configuration
 from bench.records.shot.shot import Shot

@@ -54,69 +54,56 @@ def require_carry(plan: CampaignPlan, measured: Measured) -> None:
         raise Refused(location, found, "measured coefficients of each ball", action)
 
 
-class ShotCarry:
-    """Carries of a plan's shots."""
+def carry_columns(
+    plan: CampaignPlan,
+    measured: Measured,
+    ball: str,
+    launch: Launch,
+    around: FlightConditions,
+    reported: float | None,
+    simulated: Ball | None,
+) -> tuple[dict[str, Any], str]:
+    """Return the carry columns of the shot table, and why there is no `carry_m` although it is compared.
 
-    def __init__(self, plan: CampaignPlan, measured: Measured) -> None:
-        self._plan, self._measured = plan, measured
-
-    def columns(
-        self,
-        ball: str,
-        launch: Launch,
-        around: FlightConditions,
-        reported: float | None,
-        simulated: Ball | None,
-    ) -> tuple[dict[str, Any], str]:
-        """Return the carry columns of the shot table, and why there is no `carry_m` although it is compared.
-
-        `launch` is that of `ball`, as measured; `reported` the monitor's carry (m), `simulated` the simulated
-        ball, None on hardware.
-        """
-        entry, error, outside = self._measured.get(ball), None, ""
-        try:
-            flights: dict[str, Flight | None] = {"reference": _flown(launch, around, REFERENCE_BALL)}
-            flights["simulated"] = None if simulated is None else _flown(launch, around, simulated)
-            if entry is not None and not (outside := entry.values.outside(launch)):
-                flights["measured"] = fly(
-                    launch,
-                    around.air,
-                    entry.values.as_flown,
-                    around.wind,
-                    around.turf,
-                    entry.values.aerodynamics,
-                )
-                error = entry.values.carry_error(launch, around.air, around.wind, around.turf)
-        except ValueError as fault:
-            return {}, f"no flight: {fault}"
-        source = self._source(ball, simulated is not None)
-        flight = flights.get("simulated" if source == "monitor" else source)
-        carry = reported if source == "monitor" else None if flight is None else flight.carry
-        columns: dict[str, Any] = {
-            f"carry_{name}_m": None if (flown := flights.get(name)) is None else flown.carry
-            for name in ("reference", "measured")
+    `launch` is that of `ball`, as measured; `reported` the monitor's carry (m), `simulated` the simulated
+    ball, None on hardware.
+    """
+    entry, error, outside = measured.get(ball), None, ""
+    try:
+        flights: dict[str, Flight | None] = {"reference": _flown(launch, around, REFERENCE_BALL)}
+        flights["simulated"] = None if simulated is None else _flown(launch, around, simulated)
+        if entry is not None and not (outside := entry.values.outside(launch)):
+            v = entry.values
+            flights["measured"] = fly(
+                launch, around.air, v.as_flown, around.wind, around.turf, v.aerodynamics
+            )
+            error = v.carry_error(launch, around.air, around.wind, around.turf)
+    except ValueError as fault:
+        return {}, f"no flight: {fault}"
+    source: str = plan.analysis.carry or "reference"
+    if simulated is not None and (not plan.analysis.carry or (source == "measured" and entry is None)):
+        source = "simulated"  # a simulated ball without measurement has its model's flight
+    flight_source = "simulated" if source == "monitor" else source
+    flight = flights.get(flight_source)
+    carry = reported if source == "monitor" else None if flight is None else flight.carry
+    columns: dict[str, Any] = {
+        f"carry_{name}_m": None if (flown := flights.get(name)) is None else flown.carry
+        for name in ("reference", "measured")
+    }
+    columns |= {"carry_monitor_m": reported, "carry_measured_error_m": error}
+    if carry is not None:
+        columns |= {"carry_m": carry, "carry_source": source}
+    if flight is not None:
+        columns |= {
+            "total_m": flight.total,
+            "apex_m": flight.apex,
+            "landing_angle_deg": degrees(flight.landing_angle),
+            "carry_side_m": flight.carry_side,
+            "flight_source": flight_source,
         }
-        columns |= {"carry_monitor_m": reported, "carry_measured_error_m": error}
-        if carry is not None:
-            columns |= {"carry_m": carry, "carry_source": source}
-        if flight is not None:
-            columns |= {
-                "total_m": flight.total,
-                "apex_m": flight.apex,
-                "landing_angle_deg": degrees(flight.landing_angle),
-                "carry_side_m": flight.carry_side,
-                "flight_source": "simulated" if source == "monitor" else source,
-            }
-        if carry is None and self._plan.analysis.quantity in FLOWN:
-            return columns, outside or f"no carry: {_NONE[source]}"
-        return columns, ""
-
-    def _source(self, ball: str, simulated: bool) -> str:
-        """Return which carry is `carry_m`; a simulated ball without measurement has its model's."""
-        named = self._plan.analysis.carry
-        if simulated and (not named or (named == "measured" and ball not in self._measured)):
-            return "simulated"
-        return named or "reference"
+    if carry is None and plan.analysis.quantity in FLOWN:
+        return columns, outside or f"no carry: {_NONE[source]}"
+    return columns, ""
 
 
 _NONE = {

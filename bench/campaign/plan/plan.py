@@ -7,10 +7,11 @@ and meaning.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
-from math import hypot, pi
-from typing import Annotated, Any, Literal, get_args
+from math import inf, pi
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from drivers.base.ranges import Range
 from sim.ball import Ball
@@ -33,6 +34,29 @@ Delivered = Literal[
     "strike_y_mm",
 ]
 """Figures of the delivery that can be covariates."""
+NAMES: Mapping[str, str] = {
+    "club_speed_mps": "club speed",
+    "attack_angle_deg": "attack angle",
+    "club_path_deg": "club path",
+    "face_angle_deg": "face angle",
+    "dynamic_loft_deg": "dynamic loft",
+    "strike_x_mm": "strike heel to toe",
+    "strike_y_mm": "strike low to high",
+    "ball_speed_mps": "ball speed",
+    "launch_angle_deg": "launch angle",
+    "launch_angle": "launch angle",
+    "spin_rpm": "spin",
+    "carry_m": "carry",
+    "carry_side_m": "offline",
+    "total_m": "total distance",
+    "apex_m": "apex",
+    "landing_angle_deg": "landing angle",
+    "landing_angle": "landing angle",
+    "air_temperature_k": "air temperature",
+    "air_pressure_pa": "air pressure",
+    "relative_humidity": "air humidity",
+}
+"""Names of the columns of the shot table and of the quantities in sentences."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +229,7 @@ class Analysis:
     power: Annotated[float, Range(0.5, 0.9999, "")]
     drift: Literal["linear", "none"]
     """Whether the control ball removes drift within blocks; the report also has the other analysis."""
-    reference: str = field(default="", metadata={"optional": True})
+    reference: str
     """Level that the report compares the others with; empty: the first one."""
 
 
@@ -284,6 +308,11 @@ class StatedCalibration:
     dof: Annotated[float, Range(0.0, 1e6, "")] = field(default=0.0, metadata={"optional": True})
     """Its degrees of freedom; 0: infinite."""
 
+    @property
+    def text(self) -> str:
+        """Instrument, source and date in a line."""
+        return ", ".join(filter(None, (self.instrument, self.identity, self.source, self.date)))
+
 
 STATED = (*get_args(Quantity), "air_temperature_k", "air_pressure_pa", "relative_humidity")
 """Quantities whose uncertainty a calibration may state."""
@@ -311,11 +340,8 @@ class Simulation:
     missing_launch: tuple[int, ...]
     missed_ball: tuple[int, ...]
     feeder_jam: tuple[int, ...]
-    feeder_empty: tuple[int, ...]
     wrong_ball: tuple[int, ...]
     guard_opened: tuple[int, ...]
-    low_supply: tuple[int, ...]
-    monitor_disconnected: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -354,6 +380,12 @@ class CampaignPlan:
         """All balls that are hit, the control ball last when it is not compared."""
         return tuple(dict.fromkeys((*self.design.balls, *filter(None, (self.control.ball,)))))
 
+    @property
+    def column(self) -> str:
+        """Column of the shot table with the compared quantity."""
+        quantity = self.analysis.quantity
+        return f"{quantity}_deg" if quantity in {"launch_angle", "landing_angle"} else quantity
+
     def profile(self, swing: str, club: str) -> str:
         """Return the profile, a name or a path, that `club` swings as `swing`."""
         return self.swings.get(swing, {}).get(club, swing)
@@ -369,10 +401,8 @@ class CampaignPlan:
         return self.design.hits_per_mounting * len(self.design.balls) if self.split else 1
 
     def record(self) -> dict[str, Any]:
-        """Return the plan for JSON; `plan_from_record` reads it back. An empty reference is left out."""
+        """Return the plan for JSON; `plan_from_record` reads it back."""
         plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        if not self.analysis.reference:
-            del plain["analysis"]["reference"]
         return plain
 
     @property
@@ -392,17 +422,20 @@ def reference_level(plan: CampaignPlan) -> str:
     return plan.analysis.reference or levels(plan)[0]
 
 
-def stated_uncertainty(plan: CampaignPlan, quantity: str) -> float | None:
-    """Return the standard uncertainty of a quantity besides its scatter, as the plan states it; None: not.
+class StatedUncertainty(NamedTuple):
+    """A standard uncertainty of a quantity besides its scatter, as a plan states it."""
 
-    `rules.uncertainty` names it as a whole; else the plan's calibrations together.
-    """
+    uncertainty: float
+    dof: float
+    source: str
+
+
+def stated_uncertainties(plan: CampaignPlan, quantity: str) -> list[StatedUncertainty]:
+    """Return the uncertainties of a quantity: from [rules.uncertainty] as a whole, else from calibrations."""
     if quantity in plan.rules.uncertainty:
-        return plan.rules.uncertainty[quantity]
-    stated = [c.uncertainty[quantity] for c in plan.calibrations.values() if quantity in c.uncertainty]
-    return hypot(*stated) if stated else None
-
-
-def controls_per_block(plan: CampaignPlan) -> int:
-    """Return how often a block hits the control ball: at start and end, and between where there is one."""
-    return 0 if not plan.control.ball else 2 + (len(levels(plan)) > 1)
+        return [StatedUncertainty(plan.rules.uncertainty[quantity], inf, "the plan's [rules.uncertainty]")]
+    return [
+        StatedUncertainty(one.uncertainty[quantity], one.dof or inf, one.text)
+        for one in plan.calibrations.values()
+        if quantity in one.uncertainty
+    ]

@@ -110,9 +110,8 @@ def plan_from_record(record: Mapping[str, Any], location: str) -> CampaignPlan:
 
 def _build(tree: Tree, file: Path, faults: list[BenchError]) -> tuple[CampaignPlan | None, set[str]]:
     """Return the plan of `tree`, None with `faults`, and the keys that have them."""
-    builder = Builder(
-        tree, file, f"Correct it; keys and units: {DEFAULTS.name}.", "Add it.", frozenset(), faults
-    )
+    action = f"Correct it; keys and units: {DEFAULTS.name}."
+    builder = Builder(tree, file, action, "Add it.", frozenset(), faults)
     plan: CampaignPlan | None = builder.build(CampaignPlan)
     return plan, builder.wrong
 
@@ -122,26 +121,16 @@ def _completed(
 ) -> Tree:
     """Return a section's entries, those that say `like` completed from the one it names."""
     if isinstance(node, TomlValue):
-        faults.append(
-            BenchError(
-                f"{file}: {section}",
-                format_value(node.value),
-                "tables",
-                "Write a table such as [balls.name].",
-            )
-        )
+        action = "Write a table such as [balls.name]."
+        faults.append(BenchError(f"{file}: {section}", format_value(node.value), "tables", action))
         return {}
     done: Tree = {}
     for name, entry in node.items():
         if isinstance(entry, dict) and isinstance(like := entry.get("like"), TomlValue):
             rest = {key: value for key, value in entry.items() if key != "like"}
             if like.value not in known:
-                location = f"{file}: {section}.{name}.like"
-                faults.append(
-                    BenchError(
-                        location, format_value(like.value), f"one of {', '.join(known)}", "Name one of them."
-                    )
-                )
+                location, expected = f"{file}: {section}.{name}.like", f"one of {', '.join(known)}"
+                faults.append(BenchError(location, format_value(like.value), expected, "Name one of them."))
                 continue
             other = known[like.value]
             values = {f.name: getattr(other, f.name) for f in fields(other) if f.init and f.name != "name"}
@@ -183,12 +172,8 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
                 wanted = "a name of printable characters, without spaces at its ends"
                 yield f"design.{key}", format_value(name), wanted, "Reports and prompts show it."
         if not names or len(set(names)) < len(names):
-            yield (
-                f"design.{key}",
-                format_value(list(names)),
-                "at least one name, each once",
-                f"Correct the list design.{key}.",
-            )
+            found, action = format_value(list(names)), f"Correct the list design.{key}."
+            yield f"design.{key}", found, "at least one name, each once", action
     for swing, profiles in plan.swings.items():
         if swing not in d.swings:
             yield f"swings.{swing}", "a swing", f"one of {', '.join(d.swings)}", "Add it to design.swings."
@@ -228,23 +213,15 @@ def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
         wanted = f"up to design.blocks, {d.blocks}"
         yield "stop.min_blocks", str(stop.min_blocks), wanted, "Lower it."
     if stop.rule != "fixed" and stop.interim_analyses < 2:
-        yield (
-            "stop.interim_analyses",
-            str(stop.interim_analyses),
-            "at least 2: the last one is after all blocks",
-            "Raise it.",
-        )
+        found, wanted = str(stop.interim_analyses), "at least 2: the last one is after all blocks"
+        yield "stop.interim_analyses", found, wanted, "Raise it."
     if stop.rule == "width" and not stop.width:
         yield "stop.width", "0", "a half width above 0 for the rule width", "Set it."
     if stop.rule == "equivalence" and not plan.analysis.equivalence_margin:
         yield "analysis.equivalence_margin", "0", "a margin above 0 for the rule equivalence", "Set it."
     if stop.rule != "fixed" and len(levels(plan)) < 2:
-        yield (
-            "stop.rule",
-            format_value(stop.rule),
-            '"fixed", as there is one level only',
-            'Set stop.rule = "fixed".',
-        )
+        wanted = '"fixed", as there is one level only'
+        yield "stop.rule", format_value(stop.rule), wanted, 'Set stop.rule = "fixed".'
 
 
 def _split(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -269,24 +246,15 @@ def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
     """Yield an error for each unknown rule, and for each stated uncertainty of an unknown quantity."""
     for name in plan.rules.apply:
         if name not in rule_names():
-            yield (
-                "rules.apply",
-                format_value(name),
-                f"one of {', '.join(rule_names())}",
-                "Correct the name in rules.apply.",
-            )
+            wanted = f"one of {', '.join(rule_names())}"
+            yield "rules.apply", format_value(name), wanted, "Correct the name in rules.apply."
     s = plan.set_up
     if bool(s.control_restitution) != bool(s.control_contact_time):
         missing = "control_contact_time" if s.control_restitution else "control_restitution"
         yield f"set_up.{missing}", "0", "both figures of the control ball, or neither", "Add it."
     for name in plan.rules.uncertainty.keys() - set(get_args(Quantity)):
-        wanted = ", ".join(get_args(Quantity))
-        yield (
-            f"rules.uncertainty.{name}",
-            "no quantity",
-            f"one of {wanted}",
-            "Correct the key below [rules.uncertainty].",
-        )
+        key, wanted = f"rules.uncertainty.{name}", f"one of {', '.join(get_args(Quantity))}"
+        yield key, "no quantity", wanted, "Correct the key below [rules.uncertainty]."
 
 
 def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:

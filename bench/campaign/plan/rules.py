@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
-from math import radians
 from pathlib import Path
-from typing import Any
 
 from bench.base.from_toml import read_toml
 
@@ -25,12 +23,11 @@ class RuleSetUp:
     ball_speed: float
     """Ball speed (m/s)."""
     ball_speed_window: float
-    launch_angle: float
-    """Launch angle (rad)."""
-    launch_angle_window: float
+    launch_angle_deg: float
+    launch_angle_window_deg: float
     spin_rpm: float
     spin_window_rpm: float
-    by_control_ball: bool
+    by_control_ball: bool = False
     """Whether the control ball's restitution and contact time give the ball speed, where they are known."""
 
     def ball_speed_by(self, restitution: float, contact_time: float) -> float:
@@ -42,7 +39,7 @@ class RuleSetUp:
 
 @dataclass(frozen=True)
 class RuleSet:
-    """One rule with its dates; SI."""
+    """One rule with its dates."""
 
     name: str
     family: str
@@ -52,18 +49,17 @@ class RuleSet:
     ends: date
     quantity: str
     """Judged column of the shot table."""
-    difference: bool
-    """Whether the difference between the levels of a section is judged, not each level."""
     unit: str
     """Unit of the rule's text, a key of `UNITS_OF_RULES`."""
     at_most: float
-    """Limit, tolerance included."""
-    tolerance_included: float
-    set_up: RuleSetUp | None
-    apparatus: str
-    """Why a robot's figure is never judged; empty where it is."""
+    """Limit in this unit, tolerance included."""
     confidence: str
     source: str
+    difference: bool = False
+    """Whether the difference between the levels of a section is judged, not each level."""
+    set_up: RuleSetUp | None = None
+    apparatus: str = ""
+    """Why a robot's figure is never judged; empty where it is."""
 
     @property
     def scale(self) -> float:
@@ -78,39 +74,10 @@ class RuleSet:
 def rule_sets() -> dict[str, RuleSet]:
     """Return the shipped rule sets by name."""
     tables = read_toml(FILE, "the rules", "Reinstall golfbench.")
-    return {name: _rule_set(name, entry) for name, entry in tables.items()}
-
-
-def _rule_set(name: str, entry: Mapping[str, Any]) -> RuleSet:
-    scale = UNITS_OF_RULES[entry["unit"]]
-    return RuleSet(
-        name=name,
-        family=entry["family"],
-        text=entry["text"],
-        begins=entry["from"],
-        ends=entry["until"],
-        quantity=entry["quantity"],
-        difference=entry.get("difference", False),
-        unit=entry["unit"],
-        at_most=scale * entry["at_most"],
-        tolerance_included=scale * entry["tolerance_included"],
-        set_up=_set_up(entry["set_up"]) if "set_up" in entry else None,
-        apparatus=entry.get("apparatus", ""),
-        confidence=entry["confidence"],
-        source=entry["source"],
-    )
-
-
-def _set_up(entry: Mapping[str, Any]) -> RuleSetUp:
-    return RuleSetUp(
-        entry["ball_speed"],
-        entry["ball_speed_window"],
-        radians(entry["launch_angle_deg"]),
-        radians(entry["launch_angle_window_deg"]),
-        entry["spin_rpm"],
-        entry["spin_window_rpm"],
-        entry.get("by_control_ball", False),
-    )
+    for entry in tables.values():
+        if "set_up" in entry:
+            entry["set_up"] = RuleSetUp(**entry["set_up"])
+    return {name: RuleSet(name, **entry) for name, entry in tables.items()}
 
 
 def rule_names() -> list[str]:

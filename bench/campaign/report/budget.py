@@ -11,16 +11,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, pi, radians, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
-from bench.campaign.plan.plan import CampaignPlan, StatedCalibration, levels
+from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, stated_uncertainties
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import COVERAGE
-from bench.campaign.statistics.analysis import mean_error
-from bench.campaign.statistics.block_model import independent_codes
+from bench.campaign.statistics.block_model import independent_codes, mean_error
 from bench.records.shot.shot import Shot, ShotStatus
 from sim.air import Air
 from sim.flight import fly_many
@@ -34,14 +33,6 @@ _FLOWN = frozenset({"reference", "measured", "simulated"})
 _LAUNCH = {"ball_speed_mps": 0.1, "launch_angle": 0.1, "spin_rpm": 20.0}
 _AIR = {"air_temperature_k": 0.5, "air_pressure_pa": 100.0, "relative_humidity": 0.05}
 """Inputs of a flight with the step of the derivative."""
-_INPUTS = {
-    "ball_speed_mps": "ball speed",
-    "launch_angle": "launch angle",
-    "spin_rpm": "spin",
-    "air_temperature_k": "temperature of the air",
-    "air_pressure_pa": "pressure of the air",
-    "relative_humidity": "humidity of the air",
-}
 
 
 @dataclass(frozen=True)
@@ -83,12 +74,6 @@ class UncertaintyBudget:
     """None where type B is not known."""
     missing: str
     """Reason for an unknown type B; empty if it is known."""
-
-
-class _Stated(NamedTuple):
-    uncertainty: float
-    dof: float
-    source: str
 
 
 def uncertainty_budgets(
@@ -166,26 +151,10 @@ def _type_b(
     if column == "club_speed_mps" and not {s.delivery_source for s in shots} - {"encoders+model"}:
         yield from _by_encoders(shots, calibrations)
         return
-    if not (stated := _stated(plan, quantity)):
+    if not (stated := stated_uncertainties(plan, quantity)):
         yield f"no calibration states {quantity}"
     for u, dof, source in stated:
         yield BudgetLine("instrument", "B", source, column, u, 1.0, u, dof)
-
-
-def _stated(plan: CampaignPlan, quantity: str) -> list[_Stated]:
-    """Return the plan's uncertainties of a quantity: from [rules.uncertainty], else from calibrations."""
-    if quantity in plan.rules.uncertainty:
-        return [_Stated(plan.rules.uncertainty[quantity], inf, "the plan's [rules.uncertainty]")]
-    return [
-        _Stated(one.uncertainty[quantity], one.dof or inf, calibration_words(one))
-        for one in plan.calibrations.values()
-        if quantity in one.uncertainty
-    ]
-
-
-def calibration_words(stated: StatedCalibration) -> str:
-    """Return instrument, source and date of a calibration in a line."""
-    return ", ".join(filter(None, (stated.instrument, stated.identity, stated.source, stated.date)))
 
 
 def _by_encoders(shots: Sequence[Shot], calibrations: Mapping[str, Any]) -> Iterator[BudgetLine | str]:
@@ -222,11 +191,11 @@ def _flown(plan: CampaignPlan, shots: Sequence[Shot]) -> Iterator[BudgetLine | s
         yield "launch not measured"
         return
     for name, slope in slopes.items():
-        stated = _stated(plan, name)
+        stated = stated_uncertainties(plan, name)
         if not stated and name != "relative_humidity":
             yield f"no calibration states {name}"
         for u, dof, source in stated:
-            yield BudgetLine(_INPUTS[name], "B", source, name, u, slope, u * abs(slope), dof)
+            yield BudgetLine(NAMES[name], "B", source, name, u, slope, u * abs(slope), dof)
 
 
 def flight_slopes(shots: Sequence[Shot]) -> dict[str, float]:

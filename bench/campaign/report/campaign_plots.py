@@ -11,12 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
-from scipy import optimize
 
-from bench.campaign.plan.plan import CampaignPlan, levels
+from bench.campaign.plan.plan import NAMES, CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role
 from bench.campaign.report.findings import (
-    QUANTITY_NAMES,
     DifferenceTable,
     Findings,
     SectionViews,
@@ -24,9 +22,8 @@ from bench.campaign.report.findings import (
     section_labels,
 )
 from bench.campaign.report.report_format import DisplayUnit, UnitSystem, display_unit
-from bench.campaign.report.verdicts import NAMES
 from bench.campaign.statistics.analysis import SectionAnalysis, values_of
-from bench.campaign.statistics.block_model import FIGURES, Array
+from bench.campaign.statistics.block_model import Array
 from bench.campaign.statistics.control_chart import ControlChart, DispersionEllipse
 from bench.records.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg
 from bench.records.shot.shot import Shot, ShotStatus
@@ -85,6 +82,17 @@ def _picture(figure: Figure, name: str, label: str, *captions: str) -> Picture:
     return Picture(to_svg(figure, name), label, " ".join(filter(None, captions)))
 
 
+def _panels(height: float, count: int, width: int, *, shared: bool = False) -> tuple[Figure, list[Axes]]:
+    """Return a figure with `count` panels in rows of `width`, and its panels."""
+    figure = styled(height)
+    grid: np.ndarray[Any, Any] = figure.subplots(
+        -(-count // width), width, sharex=shared, sharey=shared, squeeze=False
+    )
+    for axes in grid.ravel()[count:]:
+        axes.set_visible(False)
+    return figure, list(grid.ravel()[:count])
+
+
 def _section_pictures(
     plan: CampaignPlan, mine: Sequence[Shot], analysis: SectionAnalysis, landing: Landing, units: UnitSystem
 ) -> dict[str, Any]:
@@ -95,8 +103,6 @@ def _section_pictures(
     ]
     if len(landing.levels) > _FEW:
         results.append(_each(landing.levels, views, units, f"{name}e"))
-    if flights := [(level, found) for level, some in _by_level(plan, mine) if (found := mean_flight(some))]:
-        results.append(_trajectories(flights, levels(plan), units, f"{name}f"))
     return {
         "results": results,
         "drift": _drift(plan, mine, analysis, units, f"{name}t"),
@@ -132,7 +138,6 @@ _PAIRED = (
     {"launch_angle_deg": "launch angle", "spin_rpm": "spin"},
 )
 """Columns of shots that are drawn against each other, across and up, and their names."""
-_FLIGHT = ("launch_angle_deg", "direction_deg", "carry_m", "carry_side_m", "apex_m", "landing_angle_deg")
 
 
 def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
@@ -158,17 +163,16 @@ def _dispersion(
     alone, many = len(landings) == 1, len(shots) > _MANY
     width = 1 + len(_PAIRED) if alone else min(len(landings), _COLUMNS)
     rows = -(-len(landings) // width)
-    figure = styled(0.4 + (2.3 if width < 4 else 1.9) * rows)
-    grid: np.ndarray[Any, Any] = figure.subplots(rows, width, squeeze=False)
+    figure, panels = _panels(
+        0.4 + (2.3 if width < 4 else 1.9) * rows, width if alone else len(landings), width
+    )
     distance = display_unit("carry_m", units)
-    for axes in grid.ravel()[1 if alone else len(landings) :]:
-        axes.set_visible(alone)
-    for axes, landing in zip(grid.ravel(), landings, strict=False):
+    for axes, landing in zip(panels, landings, strict=False):
         _draw_landing(axes, landing, distance, many)
     if alone:
-        for axes, columns in zip(grid[0, 1:], _PAIRED, strict=True):
+        for axes, columns in zip(panels[1:], _PAIRED, strict=True):
             _draw_pairs(axes, _by_level(plan, shots), columns, units, many)
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
     return _picture(
         figure,
         name,
@@ -224,82 +228,13 @@ def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: boo
     axes.set_ylabel(f"carry, {distance.unit}")
 
 
-class MeanFlight(NamedTuple):
-    """Mean values of a level's valid shots, from which a flight is drawn (m, rad)."""
-
-    launch_angle: float
-    direction: float
-    carry: float
-    side: float
-    apex: float
-    landing_angle: float
-
-    def side_view(self, x: Array) -> Array:
-        """Return the heights (n,) m at the distances `x` (n,) m, by a curve of fifth degree.
-
-        It begins and ends with the launch and landing angle, and its top is as high as the apex.
-        """
-        share = x / self.carry
-        rise, fall = self.carry * np.tan(self.launch_angle), self.carry * np.tan(self.landing_angle)
-        plain = share * (1.0 - share) * (rise + (fall - rise) * share)
-        # Neither end's slope knows of this part, which is largest where the ball is high.
-        swell = (share * (1.0 - share)) ** 2 * share
-        most = 64.0 * self.apex
-        part = optimize.brentq(lambda part: float((plain + part * swell).max()) - self.apex, -most, most)
-        return np.asarray(plain + part * swell)
-
-    def top_view(self, x: Array) -> Array:
-        """Return how far right (n,) m the ball is at the distances `x` (n,) m: a parabola."""
-        start, share = self.carry * np.tan(self.direction), x / self.carry
-        return np.asarray(start * share + (self.side - start) * share**2)
-
-
-def mean_flight(shots: Sequence[Shot]) -> MeanFlight | None:
-    """Return the mean flight of the valid ones of `shots`; None if a figure is missing."""
-    valid = [shot for shot in shots if shot.status is ShotStatus.VALID]
-    rows = [[getattr(shot, column) for column in _FLIGHT] for shot in valid]
-    if not (whole := [row for row in rows if None not in row]):
-        return None
-    mean = np.mean(np.array(whole, dtype=float), axis=0)
-    launch, direction, landing = np.radians(mean[[0, 1, 5]]).tolist()
-    carry, side, apex = mean[2:5].tolist()
-    return MeanFlight(launch, direction, carry, side, apex, landing)
-
-
-def _trajectories(
-    flights: Sequence[tuple[str, MeanFlight]], names: Sequence[str], units: UnitSystem, picture: str
-) -> Picture:
-    """The mean flights from the side and from above."""
-    figure, distance = styled(1.9), display_unit("carry_m", units)
-    side, above = figure.subplots(1, 2)
-    for name, flight in flights:
-        x, style = np.linspace(0.0, flight.carry, 200), {"color": colour_of(names.index(name)), "label": name}
-        side.plot(distance.of(x), distance.of(flight.side_view(x)), **style)
-        above.plot(distance.of(x), distance.of(flight.top_view(x)), **style)
-    along = f"distance, {distance.unit}"
-    side.set(title="Mean flight from the side", xlabel=along, ylabel=f"height, {distance.unit}")
-    above.set(title="and from above", xlabel=along, ylabel=f"right, {distance.unit}")
-    figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
-    return _picture(
-        figure,
-        picture,
-        "Mean flight of each level, from the side and from above.",
-        "Means of the valid shots, drawn through launch angle, apex, landing angle and carry.",
-    )
-
-
 def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Picture:
     """Each level's difference to the reference with its interval, a panel per column of the table."""
     unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
     places = [n for n, one in enumerate(table.columns[0].compared) if one.level.name != table.reference]
-    rows = -(-len(table.columns) // _PANELS)
-    figure = styled((0.75 + 0.19 * len(places)) * rows)
-    grid: np.ndarray[Any, Any] = figure.subplots(
-        rows, min(len(table.columns), _PANELS), sharex=True, sharey=True, squeeze=False
-    )
-    for axes in grid.ravel()[len(table.columns) :]:
-        axes.set_visible(False)
-    for axes, column in zip(grid.ravel(), table.columns, strict=False):
+    rows, width = -(-len(table.columns) // _PANELS), min(len(table.columns), _PANELS)
+    figure, panels = _panels((0.75 + 0.19 * len(places)) * rows, len(table.columns), width, shared=True)
+    for axes, column in zip(panels, table.columns, strict=True):
         axes.axvline(0, color=_INK, linewidth=0.8)
         if plan.analysis.equivalence_margin:
             margin = plan.analysis.equivalence_margin / unit.size
@@ -310,10 +245,11 @@ def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Pi
                 continue
             middle = pair.difference / unit.size
             low, high = pair.low_together / unit.size, pair.high_together / unit.size
-            filled = {} if pair.verdict in {"different", "both"} else {"markerfacecolor": "white"}
             reach = [[middle - low], [high - middle]]
-            style = {"color": colour_of(place), "marker": marker_of(place), "markersize": 5, "capsize": 3}
-            axes.errorbar([middle], [row], xerr=reach, **style, **filled)
+            style: dict[str, Any] = {"color": colour_of(place), "marker": marker_of(place), "capsize": 3}
+            if pair.verdict not in {"different", "both"}:
+                style["markerfacecolor"] = "white"
+            axes.errorbar([middle], [row], xerr=reach, markersize=5, **style)
         axes.set_yticks(range(len(places)), [column.compared[place].level.name for place in places])
         axes.set_ylim(len(places) - 0.4, -0.6)
         axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -348,16 +284,11 @@ def _each(
     """A panel for each level: its landing points and ellipse before those of all others."""
     distance = display_unit("carry_m", units)
     rows = -(-len(flown) // _COLUMNS)
-    figure = styled(0.35 + 1.55 * rows)
-    grid: np.ndarray[Any, Any] = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
+    figure, panels = _panels(0.35 + 1.55 * rows, len(flown), _COLUMNS, shared=True)
     ellipses = {ellipse.name: ellipse for ellipse in views.dispersion}
     every = np.concatenate([points for _, points, _ in flown]) / distance.size
     corners = [_corners(ellipse) / distance.size for ellipse in views.dispersion]
-    for index, axes in enumerate(grid.ravel()):
-        if index >= len(flown):
-            axes.set_visible(False)
-            continue
-        name, points, _ = flown[index]
+    for index, (axes, (name, points, _)) in enumerate(zip(panels, flown, strict=True)):
         style = _look(index, len(every) > _MANY) | {"markersize": 3.0}
         axes.plot(*every.T, ".", color="#d1d5db", markersize=1.5, rasterized=True)
         axes.plot(*distance.of(points).T, **style)
@@ -479,7 +410,6 @@ def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
     """The delivery over the campaign: valid and other shots."""
     figure = styled(2.4)
     grid: np.ndarray[Any, Any] = figure.subplots(2, 2, sharex=True)
-    names = {column: text for column, text, _, _ in FIGURES}
     keys = list(dict.fromkeys((s.swing, s.club) for s in shots))
     many = len(shots) > _MANY
     for axes, column in zip(grid.ravel(), _DELIVERY, strict=True):
@@ -489,7 +419,7 @@ def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
             for valid in (True, False):
                 some = [s for s in mine if (s.status is ShotStatus.VALID) is valid]
                 _points(axes, some, column, _look(index, many), unit, filled=valid)
-        axes.set(title=names[column], ylabel=unit.unit)
+        axes.set(title=NAMES[column].capitalize(), ylabel=unit.unit)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     for axes in grid[1]:
         axes.set_xlabel("shot")
@@ -532,7 +462,7 @@ def _control(views: SectionViews, units: UnitSystem, picture: str) -> Picture:
             rasterized=many,
         )
         _mark_signals(axes, chart, dict(zip(chart.shots, values, strict=True)))
-        axes.set(title=f"Control ball: {QUANTITY_NAMES[chart.column]}", ylabel=unit.unit)
+        axes.set(title=f"Control ball: {NAMES[chart.column]}", ylabel=unit.unit)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     grid[-1, 0].set_xlabel("shot")
     return _picture(

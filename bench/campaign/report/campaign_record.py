@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from hashlib import sha256
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.base.errors import Refused
 from bench.campaign.plan.plan import CampaignPlan
@@ -36,41 +36,6 @@ SHOT_DIGITS = 8
 """Hex digits of a shot's digest on a page."""
 NO_DATA = frozenset({"look", "issue"})
 """Kinds of events that record a use of the data, not the data."""
-
-
-def shot_digests(shots: Iterable[Shot]) -> list[str]:
-    """Return the digest of each shot, all its columns; 64 hex digits."""
-    return [_digest([*vars(shot).values()]) for shot in shots]
-
-
-def parts_digests(
-    entry: CampaignEntry,
-    shots: Sequence[str],
-    events: Iterable[Event],
-    prompts: Iterable[Prompt],
-    notes: Iterable[ShotNote],
-    exclusions: Sequence[ShotExclusion] = (),
-) -> dict[str, str]:
-    """Return the digests of plan, campaign, shots, events, prompts, notes, and exclusions if any.
-
-    `shots` are those of the shots.
-    """
-    begun = asdict(entry)
-    plan = begun.pop("plan")
-    return {
-        "plan": _digest(plan),
-        "campaign": _digest(begun),
-        "shots": _digest(shots),
-        "events": _digest([one for one in events if one.kind not in NO_DATA]),
-        "prompts": _digest(list(prompts)),
-        "notes": _digest(list(notes)),
-        **({"exclusions": _digest(exclusions)} if exclusions else {}),
-    }
-
-
-def whole_digest(parts: dict[str, str]) -> str:
-    """Return one digest of all parts, 64 hex digits (SHA-256)."""
-    return _digest(parts)
 
 
 def _digest(value: Any) -> str:
@@ -180,6 +145,33 @@ class CampaignRecord:
         """Number of its report: that of the last issue, or of a draft."""
         issues = len(self.issues)
         return f"{self.entry.id}-R{issues}" if issues else f"{self.entry.id}-draft"
+
+
+class Digests(NamedTuple):
+    """SHA-256 digests of a campaign, 64 hex digits each."""
+
+    shots: list[str]
+    """Digest of each shot, all its columns."""
+    parts: dict[str, str]
+    """Digests of plan, campaign, shots, events, prompts, notes, exclusions."""
+    whole: str
+    """Digest of all parts."""
+
+
+def record_digests(record: CampaignRecord) -> Digests:
+    """Return the digests of a campaign."""
+    shots = [_digest([*vars(shot).values()]) for shot in record.shots]
+    begun = asdict(record.entry)
+    parts = {
+        "plan": _digest(begun.pop("plan")),
+        "campaign": _digest(begun),
+        "shots": _digest(shots),
+        "events": _digest([one for one in record.events if one.kind not in NO_DATA]),
+        "prompts": _digest(list(record.prompts)),
+        "notes": _digest(list(record.notes)),
+        "exclusions": _digest(list(record.exclusions)),
+    }
+    return Digests(shots, parts, _digest(parts))
 
 
 def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:

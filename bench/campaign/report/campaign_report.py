@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.campaign.interruptions import software_versions
 from bench.campaign.plan.carry import measured_of
-from bench.campaign.plan.plan import levels
+from bench.campaign.plan.plan import NAMES, levels
 from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.report.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.report.campaign_plots import campaign_figures
@@ -21,15 +21,13 @@ from bench.campaign.report.campaign_record import (
     NO_DATA,
     SHOT_DIGITS,
     CampaignRecord,
-    parts_digests,
+    Digests,
     reasons_by_hand,
-    shot_digests,
-    whole_digest,
+    record_digests,
 )
 from bench.campaign.report.conformity import DECISION_RULE
 from bench.campaign.report.findings import (
     QUANTITIES,
-    QUANTITY_NAMES,
     Findings,
     RankedLevel,
     SectionViews,
@@ -113,7 +111,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
     if not record.shots:
         raise ValueError("a report needs at least one shot")
     plan, entry, shots = record.plan, record.entry, record.shots
-    template = page_template("campaign.html.j2", _filters(display_unit(plan.analysis.quantity, units), units))
+    template = page_template(_filters(display_unit(plan.analysis.quantity, units), units))
     times = [shot.time_utc for shot in shots]
     tables, compared = difference_tables(plan, found.sections), quantity_name(as_flown(plan, shots))
     return template.render(
@@ -131,7 +129,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         figures=campaign_figures(plan, shots, found, units),
         marker=marker_svg,
         quantities=QUANTITIES,
-        quantity_names=QUANTITY_NAMES,
+        names=NAMES,
         places={name: place for place, name in enumerate(levels(plan))},
         ranked=[_ranked(*each) for each in zip(found.sections, found.views, strict=True)],
         labels=section_labels(plan),
@@ -162,21 +160,20 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
 
 def _signed_part(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[str, Any]:
     """Return the variables of the part that is signed."""
-    shots, calibrations = shot_digests(record.shots), calibration_table(record)
-    parts = record_parts(record, shots)
+    digests, calibrations = record_digests(record), calibration_table(record)
     budgets = uncertainty_budgets(
         record.plan, record.shots, record.entry.calibrations, simulated=record.entry.simulated
     )
     return {
         "number": record.number,
         "issued": bool(record.issues),
-        "particulars": particulars(record, whole_digest(parts)),
+        "particulars": particulars(record, digests.whole),
         "particular_tables": (item_table(record), calibrations),
         "overdue": calibrations.overdue,
         "statement": STATEMENT,
         "budgets": budgets,
         "contributions": _contributions(budgets),
-        "data": _page_data(record, found, units, parts, shots),
+        "data": _page_data(record, found, units, digests),
     }
 
 
@@ -193,7 +190,7 @@ def _lists(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[s
         "more_events": max(0, len(events) - _MAX_LINES),
         "handwork": handwork[:_MAX_LINES],
         "more_handwork": max(0, len(handwork) - _MAX_LINES),
-        "table": list(zip_longest(CLUB, BALL)),
+        "table": list(zip_longest(CLUB.items(), BALL.items())),
         "all_rows": len(record.shots) <= _ALL_ROWS,
         "listed": len(listed),
         "rows": [
@@ -235,14 +232,7 @@ def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[...
     }
 
 
-def record_parts(record: CampaignRecord, shots: Sequence[str]) -> dict[str, str]:
-    """Return the digests of the parts of `record`; `shots` are those of its shots."""
-    return parts_digests(record.entry, shots, record.events, record.prompts, record.notes, record.exclusions)
-
-
-def _page_data(
-    record: CampaignRecord, found: Findings, units: UnitSystem, parts: dict[str, str], shots: Sequence[str]
-) -> str:
+def _page_data(record: CampaignRecord, found: Findings, units: UnitSystem, digests: Digests) -> str:
     """Return the data that verify a page, as JSON that is safe within it."""
     data = {
         "schema": 1,
@@ -252,9 +242,9 @@ def _page_data(
         "units": str(units),
         "looks": found.looks,
         "software": software_versions()["source"],
-        "digest": whole_digest(parts),
-        "parts": parts,
-        "shots": "".join(digest[:SHOT_DIGITS] for digest in shots),
+        "digest": digests.whole,
+        "parts": digests.parts,
+        "shots": "".join(digest[:SHOT_DIGITS] for digest in digests.shots),
         "figures": findings_record(found),
     }
     return json.dumps(data, separators=(",", ":")).replace("&", "\\u0026").replace("<", "\\u003c")
@@ -428,32 +418,31 @@ def _reasons(found: Findings) -> list[tuple[str, int]]:
 
 def _limits(record: CampaignRecord, units: UnitSystem) -> list[str]:
     limits = list(LIMITS)
-    s, fast, far = (
-        record.plan.simulation,
-        display_unit("ball_speed_mps", units),
-        display_unit("carry_m", units),
-    )
+    s, fast = record.plan.simulation, display_unit("ball_speed_mps", units)
+    far = display_unit("carry_m", units)
     monitor = (
         f"launch monitor {fast.of(s.ball_speed):.2g} {fast.unit}, spin {s.spin_rpm:g} rpm, carry "
         f"{far.of(s.carry):.2g} {far.unit}"
     )
-    if record.entry.simulated and record.entry.real_time:
-        limits[:0] = [
-            "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
-            "the behaviour of models, not of balls.",
+    differ = "From shot to shot differ (standard deviations, assumptions):"
+    scatter = (
+        f"restitution {100 * s.restitution:g} % from hit to hit and {100 * s.sample:g} % from ball to ball, "
+        f"{monitor}."
+    )
+    if record.entry.simulated:
+        in_real_time = (
             "The robot swung in real time, with its actual scatter. The ball's result was computed from the "
-            "delivery measured by the encoders; the robot hit its configuration's ball. From "
-            f"shot to shot differ (standard deviations, assumptions): restitution {100 * s.restitution:g} % "
-            f"from hit to hit and {100 * s.sample:g} % from ball to ball, {monitor}.",
-        ]
-    elif record.entry.simulated:
+            "delivery measured by the encoders; the robot hit its configuration's ball. "
+            f"{differ} {scatter}"
+        )
+        in_lock_step = (
+            f"{differ} supply pressure {100 * s.supply:g} %, {scatter} Each swing begins from the same armed "
+            "instant: the robot's own scatter from swing to swing is not in it."
+        )
         limits[:0] = [
             "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
             "the behaviour of models, not of balls.",
-            f"From shot to shot differ (standard deviations, assumptions): supply pressure "
-            f"{100 * s.supply:g} %, restitution {100 * s.restitution:g} % from hit to hit and "
-            f"{100 * s.sample:g} % from ball to ball, {monitor}. Each swing begins from the same "
-            "armed instant: the robot's own scatter from swing to swing is not in it.",
+            in_real_time if record.entry.real_time else in_lock_step,
         ]
     if errors := [e for shot in record.shots if (e := shot.carry_measured_error_m) is not None]:
         limits.append(

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from enum import StrEnum
-from math import degrees, hypot, inf, sqrt
+from math import hypot, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from bench.campaign.plan.plan import FLOWN, CampaignPlan, SetUp, levels, stated_uncertainty
+from bench.campaign.plan.plan import FLOWN, CampaignPlan, SetUp, levels, stated_uncertainties
 from bench.campaign.plan.rules import UNITS_OF_RULES, RuleSet, rule_on
 from bench.campaign.plan.shot_sequence import Role, Section, sections
 from bench.campaign.report.report_format import DisplayUnit, UnitSystem, display_unit
@@ -67,31 +67,22 @@ class RuleFinding:
     confidence: str
     source: str
 
-    @property
-    def words(self) -> str:
-        """The finding as one sentence without its source, in the rule's own unit."""
-        return self.words_in(None)
-
-    def words_in(self, units: UnitSystem | None) -> str:
-        """Return the finding as one sentence, in the rule's unit and, if given, the reader's `units`."""
+    def words_in(self, units: UnitSystem) -> str:
+        """Return the finding as one sentence, in the rule's unit and the reader's `units`; without source."""
         where = f"section {self.section} ({self.section_name}), " if self.section_name else ""
         head = f"{self.text} ({self.rule}): {where}{self.level}"
         if self.decision is Decision.NOT_JUDGED or self.value is None or self.uncertainty is None:
             return f"{head} – {self.decision}: {self.reason}."
         tail = f" {self.reason}." if self.reason else ""
-        mean, most, beside = (
-            f"{self.value:.1f} ± {self.uncertainty:.1f} {self.unit}",
-            f"{self.at_most:.1f}",
-            "",
-        )
-        if units is not None and (reader := display_unit(_LIKE[self.unit], units)).unit != self.unit:
+        mean, most, beside = f"{self.value:.1f} ± {self.uncertainty:.1f}", f"{self.at_most:.1f}", ""
+        if (reader := display_unit(_LIKE[self.unit], units)).unit != self.unit:
             size = UNITS_OF_RULES[self.unit] / reader.size
             beside = (
                 f" ({size * self.value:.1f} ± {size * self.uncertainty:.1f}, at most "
                 f"{size * self.at_most:.1f} {reader.unit})"
             )
         return (
-            f"{head}, {mean} (k = {self.coverage:.2f}), at most {most} {self.unit}{beside} – "
+            f"{head}, {mean} {self.unit} (k = {self.coverage:.2f}), at most {most} {self.unit}{beside} – "
             f"{self.decision}.{tail}"
         )
 
@@ -165,7 +156,7 @@ def _finding(
         error, dof = _combined(plan, rule, list(means.values()))
         coverage = float(stats.t.ppf((1 + COVERAGE) / 2, dof))
         uncertainty = coverage * error / rule.scale
-        decision = decide_by_limit(value, uncertainty, rule.at_most / rule.scale)
+        decision = decide_by_limit(value, uncertainty, rule.at_most)
         reason = _reservation(rule, day, means)
     except _Unjudged as why:
         reason = str(why)
@@ -177,7 +168,7 @@ def _finding(
         level=" against ".join(groups),
         value=value,
         unit=rule.unit,
-        at_most=rule.at_most / rule.scale,
+        at_most=rule.at_most,
         uncertainty=uncertainty,
         coverage=coverage,
         decision=decision,
@@ -242,7 +233,7 @@ def _require_set_up(rule: RuleSet, given: SetUp, controls: Sequence[Shot], units
         raise _Unjudged("no control ball shows that the set-up is the rule's")
     speed = wanted.ball_speed_by(given.control_restitution, given.control_contact_time)
     wrong = []
-    angle = degrees(wanted.launch_angle), degrees(wanted.launch_angle_window)
+    angle = wanted.launch_angle_deg, wanted.launch_angle_window_deg
     for name, column, middle, window, digits in (
         ("ball speed", "ball_speed_mps", speed, wanted.ball_speed_window, 1),
         ("launch angle", "launch_angle_deg", *angle, 1),
@@ -274,14 +265,14 @@ def _source_of(rule: RuleSet, shot: Shot) -> str:
 
 def _combined(plan: CampaignPlan, rule: RuleSet, means: Sequence[_Mean]) -> tuple[float, float]:
     """Return standard uncertainty and effective degrees of freedom (Welch and Satterthwaite)."""
-    stated = stated_uncertainty(plan, rule.quantity)
+    stated = [one.uncertainty for one in stated_uncertainties(plan, rule.quantity)]
     if rule.difference:
-        stated = 0.0  # common to both levels
-    if stated is None:
+        stated = [0.0]  # common to both levels
+    if not stated:
         where = "rules.uncertainty or calibrations in the plan"
         raise _Unjudged(f"the uncertainty of {rule.quantity} is not stated ({where})")
     scatter = sum(mean.error**4 / mean.dof for mean in means)
-    error = hypot(stated, *(mean.error for mean in means), *(mean.coefficients for mean in means))
+    error = hypot(hypot(*stated), *(mean.error for mean in means), *(mean.coefficients for mean in means))
     return error, error**4 / scatter if scatter else inf
 
 

@@ -18,22 +18,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.json_schema import json_value
-from bench.campaign.plan.plan import CampaignPlan, levels, reference_level
+from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, reference_level
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import RuleFinding, judge_rules
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.report.verdicts import Verdict, section_notes, section_verdicts
 from bench.campaign.statistics.analysis import (
-    COLUMN,
     Comparison,
     Level,
     Pair,
     SectionAnalysis,
-    Spread,
     analyse,
-    spread,
 )
-from bench.campaign.statistics.block_model import Repeatability, independent_codes, repeatability, within_club
+from bench.campaign.statistics.block_model import (
+    Repeatability,
+    Spread,
+    independent_codes,
+    repeatability,
+    spread,
+    within_club,
+)
 from bench.campaign.statistics.control_chart import (
     ControlChart,
     DispersionEllipse,
@@ -43,26 +47,11 @@ from bench.campaign.statistics.control_chart import (
 from bench.campaign.statistics.sample_size import SeriesSize, series_needed
 from bench.records.shot.shot import Shot, ShotStatus
 
-QUANTITIES: Mapping[str, str] = {
-    "ball_speed_mps": "ball speed",
-    "launch_angle_deg": "launch",
-    "spin_rpm": "spin",
-    "landing_angle_deg": "descent",
-    "apex_m": "apex",
-    "carry_m": "carry",
-    "total_m": "total",
-    "carry_side_m": "offline",
-}
-"""Columns of the shot table with their names in the table of all quantities."""
-
-QUANTITY_NAMES: Mapping[str, str] = {
-    **QUANTITIES,
-    "club_speed_mps": "club speed",
-    "launch_angle_deg": "launch angle",
-    "landing_angle_deg": "landing angle",
-    "total_m": "total distance",
-}
-"""Columns with their names where there is room."""
+QUANTITIES = (
+    *("ball_speed_mps", "launch_angle_deg", "spin_rpm", "landing_angle_deg"),
+    *("apex_m", "carry_m", "total_m", "carry_side_m"),
+)
+"""Columns of the table of all quantities."""
 
 
 @dataclass(frozen=True)
@@ -210,8 +199,7 @@ def not_compared(plan: CampaignPlan, tables: Sequence[DifferenceTable], quantity
                 "comparison with its own error level, and the plan compares nothing between columns."
             )
     if tables:
-        compared = COLUMN.get(plan.analysis.quantity, plan.analysis.quantity)
-        others = ", ".join(name for column, name in QUANTITIES.items() if column != compared)
+        others = ", ".join(NAMES[column] for column in QUANTITIES if column != plan.column)
         yield f"Other quantities ({others}) are described, not compared: the plan compares {quantity} only."
 
 
@@ -224,11 +212,6 @@ class RankedLevel:
     effect: float
     """Level less the mean of all levels, by the confirmatory model."""
     letters: str
-    behind: float
-    """Level less the first one; 0 of the first."""
-    behind_low: float
-    behind_high: float
-    """Interval of `behind` that holds together with all pairs'."""
     scatter_letters: str
     """Levels without one in common scatter differently; empty where scatter was not compared."""
 
@@ -251,9 +234,7 @@ def ranking(comparison: Comparison | None) -> tuple[RankedLevel, ...]:
         compared = {name for ratio in comparison.scatter for name in (ratio.first, ratio.second)}
         scatter = compact_letters([name for name in order if name in compared], unequal)
     return tuple(
-        RankedLevel(
-            place, name, effects[name], letters[name], *_behind(pairs, name, order[0]), scatter.get(name, "")
-        )
+        RankedLevel(place, name, effects[name], letters[name], scatter.get(name, ""))
         for place, name in enumerate(order, 1)
     )
 
@@ -291,14 +272,7 @@ def _effects(names: Sequence[str], pairs: Sequence[Pair]) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, found, strict=True)}
 
 
-def _behind(pairs: Sequence[Pair], name: str, first: str) -> tuple[float, float, float]:
-    if name == first:
-        return 0.0, 0.0, 0.0
-    pair = difference_to(first, name, pairs)
-    return (pair.difference, pair.low_together, pair.high_together) if pair else (float("nan"),) * 3
-
-
-SCHEMA = 4
+SCHEMA = 5
 """Version of the JSON."""
 
 
@@ -410,7 +384,7 @@ def findings_record(found: Findings) -> dict[str, Any]:
         "shots": found.shots,
         "by_status": dict(found.by_status),
         "sections": [
-            _section_record(analysis)
+            json_value(asdict(analysis))
             | {
                 "verdicts": [verdict._asdict() for verdict in verdicts],
                 "needed": dict(zip(("different", "same"), (n and n._asdict() for n in needed), strict=True)),
@@ -427,14 +401,6 @@ def findings_record(found: Findings) -> dict[str, Any]:
         ],
         "rules": [asdict(rule) for rule in found.rules],
     }
-
-
-def _section_record(analysis: SectionAnalysis) -> dict[str, Any]:
-    """Return an analysis for JSON; balls within clubs only of a split-plot."""
-    record: dict[str, Any] = json_value(asdict(analysis))
-    if not analysis.within:
-        del record["within"]
-    return record
 
 
 def _views_record(views: SectionViews) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
 from math import floor, isfinite, log10
-from typing import Any, NamedTuple, overload
+from typing import Any, overload
 
 import jinja2
 import numpy as np
@@ -73,95 +73,68 @@ def two_digits(value: float) -> str:
     return number_text(value, max(1 - floor(log10(abs(value))), 0))
 
 
-_DEGREES, _RPM = DisplayUnit("°", 2), DisplayUnit("rpm", 0)
-_METRES, _YARDS = DisplayUnit("m", 1), DisplayUnit("yd", 1, YARD)
-_SPEED, _MILES = DisplayUnit("m/s", 2), DisplayUnit("mph", 1, MPH)
-_LENGTHS = ("carry_m", "total_m", "apex_m", "carry_side_m")
-_SPEEDS = ("club_speed_mps", "ball_speed_mps")
 _ANGLES = (
-    "attack_angle_deg",
-    "club_path_deg",
-    "face_angle_deg",
-    "dynamic_loft_deg",
-    "launch_angle_deg",
-    "direction_deg",
-    "spin_axis_deg",
-    "launch_angle",
+    *("attack_angle_deg", "club_path_deg", "face_angle_deg", "dynamic_loft_deg"),
+    *("launch_angle_deg", "launch_angle", "direction_deg", "spin_axis_deg"),
 )
-_COMMON: Mapping[str, DisplayUnit] = {
-    **dict.fromkeys(_ANGLES, _DEGREES),
+_ALIKE: Mapping[str, DisplayUnit] = {
+    **dict.fromkeys(_ANGLES, DisplayUnit("°", 2)),
     **dict.fromkeys(("landing_angle_deg", "landing_angle"), DisplayUnit("°", 1)),
-    "spin_rpm": _RPM,
+    "spin_rpm": DisplayUnit("rpm", 0),
     "angle_rad": DisplayUnit("mrad", 2, 1e-3),
     "relative_humidity": DisplayUnit("%", 0, 0.01),
 }
-_SI: Mapping[str, DisplayUnit] = {
-    **_COMMON,
-    **dict.fromkeys(_LENGTHS, _METRES),
-    **dict.fromkeys(_SPEEDS, _SPEED),
-    **dict.fromkeys(("strike_x_mm", "strike_y_mm"), DisplayUnit("mm", 1)),
-    "air_temperature_k": DisplayUnit("°C", 1, 1.0, 273.15),
-    "air_pressure_pa": DisplayUnit("hPa", 0, 100.0),
-    "temperature_difference_k": DisplayUnit("°C", 1),
-    "mass_kg": DisplayUnit("g", 2, 1e-3),
-    "diameter_m": DisplayUnit("mm", 2, 1e-3),
-    "length_m": DisplayUnit("m", 4),
-    "head_mass_kg": DisplayUnit("g", 1, 1e-3),
+_LENGTHS = DisplayUnit("m", 1), DisplayUnit("yd", 1, YARD)
+_SPEEDS = DisplayUnit("m/s", 2), DisplayUnit("mph", 1, MPH)
+_STRIKES = DisplayUnit("mm", 1), DisplayUnit("in", 3, _INCH_MM)
+_UNITS: Mapping[str, tuple[DisplayUnit, DisplayUnit]] = {
+    **{name: (unit, unit) for name, unit in _ALIKE.items()},
+    **dict.fromkeys(("carry_m", "total_m", "apex_m", "carry_side_m"), _LENGTHS),
+    **dict.fromkeys(("club_speed_mps", "ball_speed_mps"), _SPEEDS),
+    **dict.fromkeys(("strike_x_mm", "strike_y_mm"), _STRIKES),
+    "air_temperature_k": (DisplayUnit("°C", 1, 1.0, 273.15), DisplayUnit("°F", 1, 5 / 9, 459.67 * 5 / 9)),
+    "air_pressure_pa": (DisplayUnit("hPa", 0, 100.0), DisplayUnit("inHg", 2, 3386.389)),
+    "temperature_difference_k": (DisplayUnit("°C", 1), DisplayUnit("°F", 1, 5 / 9)),
+    "mass_kg": (DisplayUnit("g", 2, 1e-3), DisplayUnit("oz", 3, _OUNCE)),
+    "diameter_m": (DisplayUnit("mm", 2, 1e-3), DisplayUnit("in", 3, _INCH_MM / 1e3)),
+    "length_m": (DisplayUnit("m", 4), DisplayUnit("in", 2, _INCH_MM / 1e3)),
+    "head_mass_kg": (DisplayUnit("g", 1, 1e-3), DisplayUnit("oz", 2, _OUNCE)),
 }
-_US: Mapping[str, DisplayUnit] = {
-    **_COMMON,
-    **dict.fromkeys(_LENGTHS, _YARDS),
-    **dict.fromkeys(_SPEEDS, _MILES),
-    **dict.fromkeys(("strike_x_mm", "strike_y_mm"), DisplayUnit("in", 3, _INCH_MM)),
-    "air_temperature_k": DisplayUnit("°F", 1, 5 / 9, 459.67 * 5 / 9),
-    "air_pressure_pa": DisplayUnit("inHg", 2, 3386.389),
-    "temperature_difference_k": DisplayUnit("°F", 1, 5 / 9),
-    "mass_kg": DisplayUnit("oz", 3, _OUNCE),
-    "diameter_m": DisplayUnit("in", 3, _INCH_MM / 1e3),
-    "length_m": DisplayUnit("in", 2, _INCH_MM / 1e3),
-    "head_mass_kg": DisplayUnit("oz", 2, _OUNCE),
-}
+"""Unit of each quantity in SI and in the US system."""
 
 
 def display_unit(quantity: str, units: UnitSystem = UnitSystem.SI) -> DisplayUnit:
     """Return the unit of a column of the shot table, or of a plan's quantity."""
-    return (_US if units is UnitSystem.US else _SI)[quantity]
+    return _UNITS[quantity][units is UnitSystem.US]
 
 
-class Quantity(NamedTuple):
-    """One measured figure as reports show it."""
-
-    name: str
-    column: str
-
-
-CLUB = (
-    Quantity("club", "club_speed_mps"),
-    Quantity("attack", "attack_angle_deg"),
-    Quantity("path", "club_path_deg"),
-    Quantity("face", "face_angle_deg"),
-    Quantity("loft", "dynamic_loft_deg"),
-    Quantity("strike x", "strike_x_mm"),
-    Quantity("strike y", "strike_y_mm"),
-)
-"""Delivery of a shot, the upper line in the table of shots."""
-BALL = (
-    Quantity("ball", "ball_speed_mps"),
-    Quantity("launch", "launch_angle_deg"),
-    Quantity("direction", "direction_deg"),
-    Quantity("spin", "spin_rpm"),
-    Quantity("spin axis", "spin_axis_deg"),
-    Quantity("carry", "carry_m"),
-    Quantity("offline", "carry_side_m"),
-    Quantity("total", "total_m"),
-    Quantity("apex", "apex_m"),
-    Quantity("landing", "landing_angle_deg"),
-)
-"""Launch and flight of a shot, the lower line."""
+CLUB = {
+    "club_speed_mps": "club",
+    "attack_angle_deg": "attack",
+    "club_path_deg": "path",
+    "face_angle_deg": "face",
+    "dynamic_loft_deg": "loft",
+    "strike_x_mm": "strike x",
+    "strike_y_mm": "strike y",
+}
+"""Short names of the columns of the delivery, the upper line in the table of shots."""
+BALL = {
+    "ball_speed_mps": "ball",
+    "launch_angle_deg": "launch",
+    "direction_deg": "direction",
+    "spin_rpm": "spin",
+    "spin_axis_deg": "spin axis",
+    "carry_m": "carry",
+    "carry_side_m": "offline",
+    "total_m": "total",
+    "apex_m": "apex",
+    "landing_angle_deg": "landing",
+}
+"""Short names of the columns of launch and flight, the lower line."""
 
 
-def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
-    """Return a template of this package with its own `filters`; undefined variables are errors."""
+def page_template(filters: Mapping[str, Callable[..., Any]]) -> jinja2.Template:
+    """Return the template of a report with its `filters`; undefined variables are errors."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(
             lambda wanted: (files("bench.campaign.report") / wanted).read_text(encoding="utf-8")
@@ -171,13 +144,13 @@ def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(filters or {})
-    return environment.get_template(name)
+    environment.filters.update(filters)
+    return environment.get_template("campaign.html.j2")
 
 
-def shot_figures(shot: Shot, quantities: Iterable[Quantity], units: UnitSystem) -> list[str]:
-    """Return the `quantities` of a shot as text."""
-    return [display_unit(q.column, units).text(getattr(shot, q.column)) for q in quantities]
+def shot_figures(shot: Shot, columns: Iterable[str], units: UnitSystem) -> list[str]:
+    """Return the `columns` of a shot as text."""
+    return [display_unit(column, units).text(getattr(shot, column)) for column in columns]
 
 
 def flat(configuration: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:

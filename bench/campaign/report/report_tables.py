@@ -31,7 +31,6 @@ FLIGHT_OF: Mapping[str, str] = {
     "monitor": "as the launch monitor reported it",
     "measured": "flown from the measured launch with the aerodynamics measured on each ball",
     "simulated": "flown with the simulated ball's own aerodynamics",
-    "model": "flown with the plan's own factors by an older golfbench: it says nothing of a real ball",
 }
 """Meaning of each source of carry and flight."""
 _DIGITS = 12

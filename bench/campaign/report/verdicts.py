@@ -9,24 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.campaign.plan.plan import FLOWN, CampaignPlan, levels
+from bench.campaign.plan.plan import FLOWN, NAMES, CampaignPlan, levels
+from bench.campaign.report.preview import series_words
 from bench.campaign.report.report_format import MPH, DisplayUnit, UnitSystem, display_unit
 from bench.campaign.statistics.analysis import Comparison, Covariates, Pair, SectionAnalysis
 from bench.campaign.statistics.block_model import Repeatability, successive_scatter
-from bench.campaign.statistics.preview import COVARIATES, series_words
 from bench.campaign.statistics.sample_size import SeriesSize, series_needed
-
-NAMES = {
-    "carry_m": "carry",
-    "total_m": "total distance",
-    "ball_speed_mps": "ball speed",
-    "club_speed_mps": "club speed",
-    "launch_angle": "launch angle",
-    "landing_angle": "landing angle",
-    "spin_rpm": "spin",
-}
-"""Names of the quantities in sentences."""
-
 
 _CARRIES = {
     "reference": " (reference ball)",
@@ -289,7 +277,7 @@ def _covariate_words(
     needed: SeriesSize | None,
     unit: DisplayUnit,
 ) -> str:
-    names = ", ".join(COVARIATES[name] for name in found.names)
+    names = ", ".join(NAMES[name] for name in found.names)
     words = f"Corrected by {names}, as planned: it explains {100 * found.share:.0f} % of a shot's variance"
     plain = comparison.sd / sqrt(max(1 - found.share, 1e-6))
     without, _ = series_needed(plan, plain, comparison.ball_sd or 0.0)

@@ -17,8 +17,8 @@ from typing import Any
 
 from bench.base.errors import BenchError
 from bench.campaign.interruptions import software_versions
-from bench.campaign.report.campaign_record import SHOT_DIGITS, CampaignRecord, shot_digests, whole_digest
-from bench.campaign.report.campaign_report import record_parts, render_campaign_report
+from bench.campaign.report.campaign_record import SHOT_DIGITS, CampaignRecord, Digests, record_digests
+from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.store.campaigns import StoredShot
@@ -52,11 +52,8 @@ def verify_page(record: CampaignRecord, page: str, place: str) -> Verification:
         BenchError: it is no report of this campaign.
     """
     data = _embedded(record, page, place)
-    shots, differences = shot_digests(record.shots), list[str]()
-    parts = record_parts(record, shots)
-    digest = whole_digest(parts)
-    differences += _digests(data, parts, digest, page)
-    differences += _shots(record, shots, str(data["shots"]))
+    digests = record_digests(record)
+    differences = [*_digests(data, digests, page), *_shots(record, digests.shots, str(data["shots"]))]
     units, issued = UnitSystem(data["units"]), int(data["issue"])
     issues = {id(event) for event in record.issues[issued:]}
     then = replace(record, events=[event for event in record.events if id(event) not in issues])
@@ -64,9 +61,9 @@ def verify_page(record: CampaignRecord, page: str, place: str) -> Verification:
     figures = json.loads(json.dumps(findings_record(found)))
     differences += _first(list(_changed(data["figures"], figures, "")))
     today = bool(data["software"] == software_versions()["source"])
-    if today and _lasting(page) != _lasting(render_campaign_report(then, found, units)):
+    if today and _TODAY.sub("", page) != _TODAY.sub("", render_campaign_report(then, found, units)):
         differences.append("page: not the one that the records give")
-    return Verification(digest, _leaves(figures), today, tuple(differences))
+    return Verification(digests.whole, _leaves(figures), today, tuple(differences))
 
 
 def missing_records(stored: Sequence[StoredShot], data_dir: Path) -> list[str]:
@@ -99,13 +96,13 @@ def _embedded(record: CampaignRecord, page: str, place: str) -> Mapping[str, Any
     return data
 
 
-def _digests(data: Mapping[str, Any], parts: Mapping[str, str], digest: str, page: str) -> Iterator[str]:
-    for name, value in parts.items():
+def _digests(data: Mapping[str, Any], found: Digests, page: str) -> Iterator[str]:
+    for name, value in found.parts.items():
         if data["parts"].get(name) != value:
             then = str(data["parts"].get(name, ""))
             yield f"{name}: not as reported (digest {value[:16]}, in the report {then[:16]})"
-    if data["digest"] != digest and data["parts"] == parts:
-        yield f"digest: {data['digest'][:16]} in the report, {digest[:16]} by the records"
+    if data["digest"] != found.whole and data["parts"] == found.parts:
+        yield f"digest: {data['digest'][:16]} in the report, {found.whole[:16]} by the records"
     if page.count(str(data["digest"])) < 2:
         yield "digest: the page shows another one than its data"
 
@@ -151,11 +148,6 @@ def _leaves(value: Any) -> int:
     if isinstance(value, list):
         return sum(map(_leaves, value))
     return int(isinstance(value, float | int) and not isinstance(value, bool))
-
-
-def _lasting(page: str) -> str:
-    """Return `page` without what counts on after the campaign."""
-    return _TODAY.sub("", page)
 
 
 def _first(found: Sequence[str]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from datetime import datetime
 from pathlib import Path
 
@@ -67,57 +67,31 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: s
     }[request]
 
 
-@contextmanager
-def runner_lock(data_dir: Path, name: str) -> Iterator[None]:
-    """Hold the lock as the only runner of `name`.
-
-    Raises:
-        Refused: another process holds it.
-    """
-    with _locked(_lock_file(data_dir, name), f"campaign {name}", name):
-        yield
+def runner_lock(data_dir: Path, campaign: str) -> AbstractContextManager[None]:
+    """Return the lock of the only runner of `campaign`; Refused on entering if another process holds it."""
+    return _locked(_lock_file(data_dir, campaign), f"campaign {campaign}", campaign)
 
 
-@contextmanager
-def bench_lock(data_dir: Path, entry: CampaignEntry) -> Iterator[None]:
-    """Hold the lock as the only runner on the bench of `entry`; it ends with the process.
-
-    Raises:
-        Refused: another runner holds it.
-    """
-    with _locked(_bench_file(data_dir, entry.bench), f"bench {entry.bench}", entry.id):
-        yield
+def bench_lock(data_dir: Path, bench: str, campaign: str = "") -> AbstractContextManager[None]:
+    """Return the lock of the only runner on `bench`; Refused on entering if another process holds it."""
+    return _locked(data_dir / "campaigns" / f".runner-of-{bench}", f"bench {bench}", campaign)
 
 
 @contextmanager
 def _locked(path: Path, location: str, name: str) -> Iterator[None]:
-    """Hold the lock at `path` as the runner of campaign `name`."""
+    """Hold the lock at `path` as the runner of campaign `name`; it ends with the process."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+", encoding="ascii") as file:
         if not try_lock(file.fileno()):
             file.seek(0)
             process, _, campaign = file.read().strip().partition(" ")
-            expected, action = (
-                "no other runner",
-                f"Wait for it, or end it: golfbench campaign stop {campaign}",
-            )
-            raise Refused(location, f"process {process}, which runs campaign {campaign}", expected, action)
+            found = f"process {process}, which runs campaign {campaign}"
+            action = f"Wait for it, or end it: golfbench campaign stop {campaign}"
+            raise Refused(location, found, "no other runner", action)
         file.truncate(0)
         file.write(f"{os.getpid()} {name}")
         file.flush()
         yield
-
-
-def require_free(data_dir: Path, bench: str) -> None:
-    """Refuse if another campaign uses `bench`.
-
-    Raises:
-        Refused: it is in use; the error names the other campaign.
-    """
-    path = _bench_file(data_dir, bench)
-    if path.exists():
-        with _locked(path, f"bench {bench}", ""):
-            pass
 
 
 def is_running(data_dir: Path, name: str) -> bool:
@@ -137,15 +111,11 @@ def standing_now(data_dir: Path, campaign: str, stored: Standing) -> Standing:
     if is_running(data_dir, campaign):
         return stored
     reason = f"its runner ended without closing it; resume it: golfbench campaign resume {campaign}"
-    return Standing(CampaignState.INTERRUPTED, reason, *stored[2:])
+    return stored._replace(state=CampaignState.INTERRUPTED, reason=reason)
 
 
 def _lock_file(data_dir: Path, name: str) -> Path:
     return data_dir / "campaigns" / name / "runner"
-
-
-def _bench_file(data_dir: Path, bench: str) -> Path:
-    return data_dir / "campaigns" / f".runner-of-{bench}"
 
 
 def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,32 +120,6 @@ Robot = Callable[[LearningProblem], AbstractContextManager[Swinger]]
 """Provides the robot for a learner."""
 
 
-class CorrectedProfiles(Protocol):
-    """The profiles of a campaign and their corrections, by swing and club."""
-
-    def designed(self, arm: Arm) -> Profile:
-        """Return the profile of `arm` without correction."""
-        ...
-
-    def weights(self, arm: Arm) -> tuple[float, ...]:
-        """Return the correction weights of `arm`; empty: as designed."""
-        ...
-
-    def profile(self, arm: Arm) -> Profile:
-        """Return the profile of `arm` with its correction, if any."""
-        ...
-
-    def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
-        """Relearn the drifted swing before shot `number`, and return the text of the event.
-
-        `robot` swings; `truth` is the robot in simulation.
-
-        Raises:
-            BenchError: the modelled swing strikes no ball, or the bench refuses.
-        """
-        ...
-
-
 class CampaignCorrections:
     """Corrections by swing and club; a campaign starts with the newest valid ones of its start."""
 
@@ -193,9 +167,13 @@ class CampaignCorrections:
         return replace(swung, text=f"{swung.text}; learned, version {learned.version}")
 
     def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
-        """See `CorrectedProfiles`. Reuses what this campaign learned before an interruption.
+        """Relearn the drifted swing before shot `number`, and return the text of the event.
 
-        A correction that does not reach its target is not used.
+        `robot` swings; `truth` is the robot in simulation. What this campaign learned before an interruption
+        is reused; a correction that does not reach its target is not used.
+
+        Raises:
+            BenchError: the modelled swing strikes no ball, or the bench refuses.
         """
         arm, profile = drift.arm, self._profiles[drift.arm]
         mark = {"campaign": self._entry.id, "before_shot": number}

@@ -22,21 +22,19 @@ from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import format_value
 from bench.base.lifecycle import Refusal
 from bench.campaign.plan.bench_setup import Preparation
-from bench.campaign.plan.carry import Measured, ShotCarry, require_carry
+from bench.campaign.plan.carry import Measured, carry_columns, require_carry
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Step
-from bench.campaign.run.corrections import CorrectedProfiles, Drift
+from bench.campaign.run.corrections import CampaignCorrections, Drift
 from bench.campaign.run.plan_requirements import START_SERIES, Profiles, needs_series, series_words
-from bench.campaign.run.runner import BlockingCondition, ShotPostponed, Suspended
+from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Suspended, Taken
 from bench.campaign.run.simulated_shots import (
-    Taken,
-    air_columns,
     ball_as_hit,
     monitored,
     random_of,
     reported_carry,
-    step_columns,
+    shot_row,
 )
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
@@ -45,7 +43,7 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.status_words import absent_monitor_text
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
-from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import reported_columns
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
 from bench.records.shot.strike import ball_struck
@@ -72,9 +70,6 @@ _AT_THE_ROBOT = {
 }
 """Refusals that a person at the robot can clear, and the actions."""
 NO_WORD = "the launch monitor's process did not report the swing"
-
-
-Events = tuple[tuple[str, str], ...]
 
 
 def require_live(
@@ -136,13 +131,13 @@ def _fits(
     return alike and profile.name == status["profile"]
 
 
-class LiveShots:
+class LiveShots(ShotSource):
     """The running bench as a campaign sees it; a context, which releases the lease at its end."""
 
     def __init__(
         self,
         plan: CampaignPlan,
-        swings: CorrectedProfiles,
+        swings: CampaignCorrections,
         clubs: Mapping[str, Club],
         client: BenchClient,
         holder: str,
@@ -174,7 +169,7 @@ class LiveShots:
         self._ordered: tuple[tuple[float, ...], int] = (), 0
         """Weights requested from the bench, and its number of the correction."""
         self._monitored = monitored
-        self._carry = ShotCarry(plan, measured or {})
+        self._measured = measured or {}
         self._ball_chosen, self._stays_armed = False, True
         self._events: list[tuple[str, str]] = []
         """(kind, text) of what happened on the way to the shot under way."""
@@ -239,8 +234,6 @@ class LiveShots:
             message = operator.message_about(record) if self._monitored else None
         return self._taken(step, number, sample, record, message)
 
-    # A person at the robot -------------------------------------------------------------------------
-
     def required_restart(self, step: Step) -> Preparation | None:
         """Return the restart of the bench that `step` requires; None if none."""
         with _suspending():
@@ -296,8 +289,6 @@ class LiveShots:
                     shown = action
                     ask(action)
             self._operator.pause()
-
-    # Moving the bench ------------------------------------------------------------------------------
 
     def _prepare(self, step: Step, status: BenchStatus) -> bool:
         """Prepare the swing at the address; return whether the robot still rests there.
@@ -368,19 +359,9 @@ class LiveShots:
             return False
         return True
 
-    # Results ---------------------------------------------------------------------------------------
-
     def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
         """Return a failed shot: no swing, or no record of it."""
-        shot = Shot.from_measurements(
-            **step_columns(step, number, sample),
-            delivery=None,
-            launch=None,
-            flight=None,
-            status=ShotStatus.FAILED,
-            reason=none.found,
-            time_utc=datetime.now(UTC),
-        )
+        shot = shot_row(step, number, sample, datetime.now(UTC), ShotStatus.FAILED, none.found)
         return Taken(shot, None, {}, none.swung, tuple(self._events))
 
     def _taken(
@@ -414,20 +395,15 @@ class LiveShots:
             seen = self._modelled(number, hit, plant.robot.club, ball, around)
         doubt, carries, told = seen.doubt, dict[str, Any](), seen.figures.get("carry_monitor_m")
         if seen.launch is not None and not doubt:
-            carries, doubt = self._carry.columns(
-                step.trial.arm.ball, seen.launch, around, told, ball if self.simulated else None
+            simulated, name = ball if self.simulated else None, step.trial.arm.ball
+            carries, doubt = carry_columns(
+                self._plan, self._measured, name, seen.launch, around, told, simulated
             )
         if doubt and not reason:
             status, reason = ShotStatus.EXCLUDED, doubt
-        shot = Shot.from_measurements(
-            **step_columns(step, number, sample),
-            **air_columns(air),
-            delivery=delivery,
-            launch=seen.launch,
-            flight=None,
-            status=status,
-            reason=reason,
-            time_utc=datetime.fromisoformat(metadata["time_utc"]),
+        time_utc = datetime.fromisoformat(metadata["time_utc"])
+        shot = shot_row(
+            step, number, sample, time_utc, status, reason, delivery=delivery, launch=seen.launch, air=air
         )
         shot = replace(shot, **{**seen.figures, **carries})
         metadata |= {"record": record.path.name, **more}
@@ -451,34 +427,34 @@ class LiveShots:
     ) -> _SeenLaunch:
         """Return the launch of `ball` as a simulated launch monitor sees it; none without a `delivery`."""
         if delivery is None:
-            return _SeenLaunch(None, "", {}, {})
+            return _SeenLaunch(None)
         draws = random_of(self._plan, number).standard_normal(6)
         try:
             true = strike(delivery, club, ball)
         except ValueError as error:
-            return _SeenLaunch(None, f"no launch: {error}", {}, {})
+            return _SeenLaunch(None, f"no launch: {error}")
         carry = reported_carry(self._plan, number, true, ball, around)
         figures = {} if carry is None else {"carry_monitor_m": carry}
-        return _SeenLaunch(monitored(self._plan.simulation, true, draws[2:]), "", figures, {})
+        return _SeenLaunch(monitored(self._plan.simulation, true, draws[2:]), "", figures)
 
 
 class _SeenLaunch(NamedTuple):
     """Launch of a shot as the launch monitor has it."""
 
     launch: Launch | None
-    doubt: str
+    doubt: str = ""
     """Reason to exclude the shot; empty without one."""
-    figures: dict[str, Any]
+    figures: Mapping[str, Any] = {}
     """Columns of the shot that the monitor measured."""
-    metadata: dict[str, Any]
+    metadata: Mapping[str, Any] = {}
 
 
 def _reported(message: ShotPublication | None) -> _SeenLaunch:
     """Return the launch that the launch monitor's process reported; doubtful without a `message`."""
     if message is None:
-        return _SeenLaunch(None, NO_WORD, {}, {})
+        return _SeenLaunch(None, NO_WORD)
     if (told := message["launch"]) is None:
-        return _SeenLaunch(None, message["reason"], {}, {})
+        return _SeenLaunch(None, message["reason"])
     launch = launch_from_json(told)
     return _SeenLaunch(launch.launch, message["reason"], reported_columns(launch), {"launch": told})
 
@@ -498,17 +474,12 @@ def _suspending() -> Iterator[None]:
 
 def _judged(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> tuple[ShotStatus, str]:
     """Return the status of a swing's shot by its record, and the reason unless it is valid."""
-    if reason := _failure(metadata, delivery, struck):
-        return ShotStatus.FAILED, reason
+    if metadata["outcome"]["cause"] != "NONE":
+        return ShotStatus.FAILED, str(metadata["outcome"]["text"])
+    if delivery is None:
+        return ShotStatus.FAILED, "no swing through the ball's place"
+    if not struck:
+        return ShotStatus.FAILED, "no ball struck"
     if not metadata["complete"]:
         return ShotStatus.EXCLUDED, f"{metadata['lost_records']} cycles of its record are missing"
     return ShotStatus.VALID, ""
-
-
-def _failure(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> str:
-    """Return why a swing was no shot; empty when it was."""
-    if metadata["outcome"]["cause"] != "NONE":
-        return str(metadata["outcome"]["text"])
-    if delivery is None:
-        return "no swing through the ball's place"
-    return "" if struck else "no ball struck"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise, product
@@ -42,13 +42,12 @@ def require_swings(
     """
     found, faults = dict[tuple[str, str], Profile](), list[Exception]()
     when = when or datetime.now(UTC)
-    for swing, name in product(plan.design.swings, plan.design.clubs):
-        path = find_profile(plan.profile(swing, name))
-        profile = found[swing, name] = load_profile(path)
-        if misfit := _misfit(plan, configuration, swing, name, profile.club):
+    for arm, path, profile, misfit in _profiles(plan, configuration):
+        found[arm] = profile
+        if misfit:
             faults.append(misfit)
             continue
-        mounted, calibration = _mount(plan, configuration, name, when)
+        mounted, calibration = _mount(plan, configuration, arm[1], when)
         faults.extend(assess(mounted, calibration, profile, path).faults)
     if faults:
         raise ExceptionGroup("the plan's swings do not fit", faults)
@@ -63,27 +62,26 @@ def swings_of_other_clubs(
     Raises:
         BenchError: a profile is missing or cannot be read.
     """
-    found = {}
+    return {arm: misfit for arm, _, _, misfit in _profiles(plan, configuration) if misfit}
+
+
+def _profiles(
+    plan: CampaignPlan, configuration: Configuration
+) -> Iterator[tuple[tuple[str, str], Path, Profile, BenchError | None]]:
+    """Yield each swing and club with its profile, and an error if that was designed for another club."""
     for swing, name in product(plan.design.swings, plan.design.clubs):
-        club = load_profile(find_profile(plan.profile(swing, name))).club
-        if misfit := _misfit(plan, configuration, swing, name, club):
-            found[swing, name] = misfit
-    return found
-
-
-def _misfit(
-    plan: CampaignPlan, configuration: Configuration, swing: str, name: str, club: str
-) -> BenchError | None:
-    """Return the error of `swing` with the plan's club `name`, its profile being designed for `club`."""
-    if name == club or mechanically_equal(plan.clubs[name], configuration.clubs.get(club)):
-        return None
-    return BenchError(
-        f"{find_profile(plan.profile(swing, name))}: club",
-        f"a swing designed for club {club!r}",
-        f"one for {name!r}, or for a club of the same masses and lengths",
-        f"Design one (golfbench profile design, with club {name}) and name it: "
-        f'[swings.{swing}] {name} = "PROFILE".',
-    )
+        path = find_profile(plan.profile(swing, name))
+        profile = load_profile(path)
+        club, misfit = profile.club, None
+        if name != club and not mechanically_equal(plan.clubs[name], configuration.clubs.get(club)):
+            misfit = BenchError(
+                f"{path}: club",
+                f"a swing designed for club {club!r}",
+                f"one for {name!r}, or for a club of the same masses and lengths",
+                f"Design one (golfbench profile design, with club {name}) and name it: "
+                f'[swings.{swing}] {name} = "PROFILE".',
+            )
+        yield (swing, name), path, profile, misfit
 
 
 def calibrated(

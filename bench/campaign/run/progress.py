@@ -35,7 +35,7 @@ from bench.campaign.plan.shot_sequence import (
     is_settled,
     sections,
 )
-from bench.campaign.run.runner import Watcher
+from bench.campaign.run.shot_source import Watcher
 from bench.network.messages import CAMPAIGN_VERSION, LastShot
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState
@@ -52,8 +52,14 @@ _FIGURES = tuple(name for name in LastShot.__annotations__ if name != "time_utc"
 class CampaignProgress(Watcher):
     """Keeps the state of a campaign up to date in `message`, valid as JSON."""
 
-    def __init__(self, entry: CampaignEntry, plan: CampaignPlan) -> None:
-        self._plan, self._entry = plan, entry
+    def __init__(
+        self,
+        entry: CampaignEntry,
+        plan: CampaignPlan,
+        publish: Callable[[dict[str, Any]], None] = lambda message: None,
+    ) -> None:
+        """`publish` gets the message after each shot of this run, event and change of state."""
+        self._plan, self._entry, self._publish = plan, entry, publish
         trials = all_trials(plan)
         self._open: dict[tuple[int, int], PlannedShot] = {(t.block, t.position): t for t in trials}
         self._closed: dict[int, list[PlannedShot]] = {}
@@ -111,6 +117,8 @@ class CampaignProgress(Watcher):
         elif self._entry.real_time:
             self._times.append(shot.time_utc.timestamp())
         self._time_left()
+        if not self._replaying:
+            self._publish(self.message)
 
     def set_aside(self, block: int) -> None:
         """Open a block again; its shots so far do not count."""
@@ -133,11 +141,13 @@ class CampaignProgress(Watcher):
     def say(self, text: str) -> None:
         """Keep the newest event."""
         self.message["event"] = {"text": text, "time_utc": datetime.now(UTC).isoformat(timespec="seconds")}
+        self._publish(self.message)
 
     def standing(self, state: CampaignState, reason: str) -> None:
         """Keep the state; while it waits, `reason` is the prompt."""
         self._replaying = False
         self.message |= {"state": state, "reason": reason}
+        self._publish(self.message)
 
     def _time_left(self) -> None:
         pace, work = self._pace(), self._next_work()
@@ -191,63 +201,6 @@ def _trial_of(shot: Shot) -> PlannedShot:
     """Return the planned shot that `shot` was."""
     arm = Arm(shot.swing, shot.club, shot.ball)
     return PlannedShot(Role(shot.role), shot.section, shot.block, shot.position, arm)
-
-
-class ProgressPublisher(CampaignProgress):
-    """Publishes the progress of a campaign after each shot and change."""
-
-    def __init__(
-        self, entry: CampaignEntry, plan: CampaignPlan, publish: Callable[[dict[str, Any]], None]
-    ) -> None:
-        super().__init__(entry, plan)
-        self._publish = publish
-
-    def shot(self, shot: Shot) -> None:
-        """Publish a shot and the remaining time."""
-        super().shot(shot)
-        self._publish(self.message)
-
-    def say(self, text: str) -> None:
-        """Publish an event."""
-        super().say(text)
-        self._publish(self.message)
-
-    def standing(self, state: CampaignState, reason: str) -> None:
-        """Publish the state; while it waits, `reason` is the prompt."""
-        super().standing(state, reason)
-        self._publish(self.message)
-
-
-class CompositeWatcher(Watcher):
-    """Several watchers as one."""
-
-    def __init__(self, *watchers: Watcher) -> None:
-        self._watchers = watchers
-
-    def shot(self, shot: Shot) -> None:
-        """Pass a shot to all watchers."""
-        for watcher in self._watchers:
-            watcher.shot(shot)
-
-    def set_aside(self, block: int) -> None:
-        """Pass the number of a block that restarts."""
-        for watcher in self._watchers:
-            watcher.set_aside(block)
-
-    def feeder(self, balls: int) -> None:
-        """Pass the number of balls in the feeder."""
-        for watcher in self._watchers:
-            watcher.feeder(balls)
-
-    def say(self, text: str) -> None:
-        """Pass an event to all watchers."""
-        for watcher in self._watchers:
-            watcher.say(text)
-
-    def standing(self, state: CampaignState, reason: str) -> None:
-        """Pass the campaign's state to all watchers."""
-        for watcher in self._watchers:
-            watcher.standing(state, reason)
 
 
 WAITS = (0.0, 3.0, 15.0, 60.0)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
-from math import inf
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -22,8 +21,8 @@ from bench.campaign.plan.gate import outside
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import RESTART, Course, Ending, Role, Step
-from bench.campaign.run.corrections import Drift, DriftDetector
-from bench.campaign.run.simulated_shots import Taken
+from bench.campaign.run.corrections import DriftDetector
+from bench.campaign.run.shot_source import Operator, ShotPostponed, ShotSource, Suspended, Taken, Watcher
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.telemetry.atomic_file import NotStored
@@ -46,102 +45,13 @@ _MAX_RESTARTS = 2
 """Max number of restarts of one block: a block with long work by hand must also end."""
 
 
-class Suspended(Exception):
-    """No more shots until a person has checked the bench; the text gives the reason."""
-
-
-class BlockingCondition(NamedTuple):
-    """A temporary hindrance to a shot."""
-
-    text: str
-    armed: bool = False
-    """Whether only an armed bench, resting at its address, sees it pass."""
-    timeout: float = inf
-    """Max waiting time, s; then a person is needed."""
-
-
-class ShotPostponed(Exception):
-    """A hindrance was met on the way to the swing; the arguments are the (kind, text) of what happened."""
-
-
-class ShotSource(Protocol):
-    """A bench as a campaign sees it."""
-
-    simulated: bool
-
-    def time_of(self, number: int) -> datetime:
-        """Return the start time of shot `number`: real or virtual."""
-        ...
-
-    def take(self, step: Step, number: int, sample: int) -> Taken:
-        """Take shot `number` with physical ball `sample`.
-
-        Raises:
-            Suspended: it was not taken, and none can be for now.
-            ShotPostponed: it was not taken; `hindrance` returns the reason.
-            KeyboardInterrupt: a stop was requested before the swing.
-        """
-        ...
-
-    def relearn(self, drift: Drift, number: int) -> str:
-        """Relearn a drifted swing before shot `number`; return the text of the event.
-
-        Raises:
-            Suspended: it cannot.
-        """
-        ...
-
-    def hindrance(self, step: Step) -> BlockingCondition | None:
-        """Return the hindrance to `step`, None if there is none. Raises Suspended."""
-        ...
-
-    def rest(self) -> None:
-        """Disarm: the time of the next shot is unknown."""
-        ...
-
-    def required_restart(self, step: Step) -> Preparation | None:
-        """Return the restart of the bench that `step` requires; None if none."""
-        ...
-
-    def grant_access(self, kind: PromptKind) -> None:
-        """Grant a person access to the robot, or to the whole bench. Raises Suspended as `take`."""
-        ...
-
-    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
-        """Continue after the person has confirmed the work, even if no access was granted. Raises Suspended.
-
-        `ask` shows what else the person has to do, such as to press a button.
-        """
-        ...
-
-
-class Operator(Protocol):
-    """The operator, for work the robot cannot do; answers may also come through the database."""
-
-    name: str
-    kinds: frozenset[PromptKind]
-    """Kinds of prompts to show; others are answered automatically, as in simulation."""
-
-    def show(self, prompt: Prompt) -> None:
-        """Show a prompt."""
-        ...
-
-    def answered(self) -> bool:
-        """Return whether the prompt was answered here; never waits."""
-        ...
-
-    def hide(self) -> None:
-        """Hide the prompt: it is answered or no longer needed."""
-        ...
-
-
 class _Pending(NamedTuple):
     """A shot on its way to the disk, with its rows for the database."""
 
     future: Future[StoredShot]
-    hits: tuple[Hit, ...]
-    events: tuple[Event, ...]
-    prompts: tuple[Prompt, ...]
+    hits: Sequence[Hit]
+    events: Sequence[Event]
+    prompts: Sequence[Prompt]
     original: Path | None
 
 
@@ -154,24 +64,12 @@ class RunOutcome(NamedTuple):
     valid: int
 
 
-@dataclass
-class Watcher:
-    """Receives the progress of a run; this base class ignores it."""
+class _RunEnd(Exception):
+    """The run ends before its plan does."""
 
-    def shot(self, shot: Shot) -> None:
-        """Receive a shot."""
-
-    def feeder(self, balls: int) -> None:
-        """Receive the number of balls left in a feeder that a person fills."""
-
-    def set_aside(self, block: int) -> None:
-        """Receive the number of a block that restarts: its shots so far do not count."""
-
-    def say(self, text: str) -> None:
-        """Receive an event."""
-
-    def standing(self, state: CampaignState, reason: str) -> None:
-        """Receive the campaign's state; while it waits, `reason` is the prompt."""
+    def __init__(self, state: CampaignState, reason: str) -> None:
+        super().__init__(reason)
+        self.state, self.reason = state, reason
 
 
 class Runner:
@@ -204,8 +102,8 @@ class Runner:
         self._asked_so_far = 0
         self._open: Prompt | None = None
         self._done_by_itself: list[Prompt] = []
-        self._noted: list[tuple[datetime, str, str]] = []
-        """(time, kind, text) of events before the next shot."""
+        self._noted: list[Event] = []
+        """Events before the next shot."""
         self._alive = data_dir / "campaigns" / entry.id / "alive"
         """Touched at every look: the time of the runner's last sign of life."""
         self._last: datetime | None = None
@@ -234,19 +132,21 @@ class Runner:
             left.unlink(missing_ok=True)
         self._interrupted, self._store.waiting = interrupted, self._wait_for_database
         try:
-            return self._run(course, interrupted)
+            return self._run(course)
         finally:
             self._store.waiting = None
 
-    def _run(self, course: Course, interrupted: Callable[[], bool]) -> RunOutcome:
+    def _run(self, course: Course) -> RunOutcome:
         step = self._replay(course)
         self._begin()
         self._store.change(self._entry.id, requested="")
         with ThreadPoolExecutor(1, "swing-writer") as writer:
             try:
-                state, reason = self._go_on(course, step, interrupted, writer)
+                state, reason = self._go_on(course, step, writer)
             except BenchError as error:
-                self._end(f"the run ended with an error: {error.location}: {error.found}")
+                self._store.waiting = None
+                with suppress(BenchError, SQLAlchemyError):
+                    self._note_event("error", f"the run ended with an error: {error.location}: {error.found}")
                 raise
             finally:
                 with suppress(BenchError):  # report the first error
@@ -266,20 +166,18 @@ class Runner:
             datetime.fromtimestamp(self._alive.stat().st_mtime, UTC) if self._alive.exists() else self._last
         )
         for kind, text in found_at_begin(standing, runs, self.taken, seen, self._start, now):
-            self._note_event(kind, text)
-            self._watcher.say(text)
+            self._report(kind, text)
         self._store.begin_run(campaign, self._start.by, now, self._start.versions, self._start.facts)
         self._alive.touch()
-
-    def _end(self, reason: str) -> None:
-        """Store that the run ends with an error, if that is possible."""
-        self._store.waiting = None
-        with suppress(BenchError, SQLAlchemyError):
-            self._note_event("error", reason)
 
     def _note_event(self, kind: str, text: str) -> None:
         """Store an interruption at once, with its time."""
         self._store.note_event(self._entry.id, Event(datetime.now(UTC), self.taken + 1, kind, text))
+
+    def _report(self, kind: str, text: str) -> None:
+        """Store and show an interruption."""
+        self._note_event(kind, text)
+        self._watcher.say(text)
 
     def _wait_for_database(self, locked: DatabaseLocked) -> None:
         """Give up waiting for the database after some time or when interrupted."""
@@ -342,11 +240,14 @@ class Runner:
             raise BenchError(location, f"stored as {stored}", f"{planned} by its plan", action)
 
     def _go_on(
-        self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor
+        self, course: Course, step: Step | Ending, writer: ThreadPoolExecutor
     ) -> tuple[CampaignState, str]:
         try:
             self._go_back_to_work()
-            return self._shots(course, step, interrupted, writer)
+            ending = self._shots(course, step, writer)
+            return (CampaignState.FINISHED if ending.complete else CampaignState.SUSPENDED), ending.reason
+        except _RunEnd as end:
+            return end.state, end.reason
         except KeyboardInterrupt:
             return CampaignState.STOPPED, f"interrupted by {self._cause()} before the next shot"
         except DatabaseLocked as error:
@@ -358,24 +259,19 @@ class Runner:
                 return CampaignState.ABORTED, self._by_request("aborted")
             return CampaignState.SUSPENDED, str(why)
 
-    def _shots(
-        self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor
-    ) -> tuple[CampaignState, str]:
+    def _shots(self, course: Course, step: Step | Ending, writer: ThreadPoolExecutor) -> Ending:
         failures = 0
         while not isinstance(step, Ending):
-            for state, reason in self._asked(interrupted):
-                return state, reason
-            for state, reason in self._hindered(step, interrupted):
-                return state, reason
+            self._obey_requests()
+            self._wait_for_hindrance(step)
             number = self.taken + 1
             sample = sample_for(self._plan, step.trial, self._hits)
             if sample is None:
-                return CampaignState.SUSPENDED, (
+                raise Suspended(
                     f"balls used up: every sample of {step.trial.arm.ball!r} has its "
                     f"{self._plan.ball_handling.hits} hits"
                 )
-            if asked := self._fit(step, number, sample, interrupted):
-                return asked
+            self._fit(step, number, sample)
             if self._stood_too_long(step, number):
                 step = self._restart(course, step)
                 continue
@@ -388,36 +284,39 @@ class Runner:
                     self._say(kind, text)
                 continue
             if taken.stopped:  # as if it was never started
-                return CampaignState.STOPPED, f"interrupted by {self._cause()}; the swing is taken again"
+                reason = f"interrupted by {self._cause()}; the swing is taken again"
+                raise _RunEnd(CampaignState.STOPPED, reason)
             shot = self._gated(step, taken)
-            for kind, text in taken.events:
-                self._say(kind, text)
-            noted, self._noted = self._noted, []
-            events = tuple(Event(when, number, kind, text) for when, kind, text in noted)
-            hits = _used(step, taken, sample)
-            self._hits.update(hits)
-            prompts, self._done_by_itself = tuple(self._done_by_itself), []
-            written = writer.submit(self._written, shot, taken)
-            self._pending.append(_Pending(written, hits, events, prompts, taken.original))
-            self._fitting = self._fitting.after(shot)
-            self._locked_for = 0.0
-            self._note(shot)
-            if self._plan.ball_handling.magazine:
-                self._watcher.feeder(len(self._fitting.feeder))
-            if len(self._pending) >= self._batch:
-                self._commit()
+            self._store_later(step, sample, shot, taken, writer)
             failures = 0 if shot.status is ShotStatus.VALID else failures + 1
             try:
                 step = course.send(shot)
             except StopIteration as stop:
                 step = stop.value
             if failures >= self._plan.design.failures_in_a_row and not isinstance(step, Ending):
-                return (
-                    CampaignState.SUSPENDED,
-                    f"{failures} shots in a row not valid, the last: {shot.reason}",
-                )
+                raise Suspended(f"{failures} shots in a row not valid, the last: {shot.reason}")
         self._commit()
-        return (CampaignState.FINISHED if step.complete else CampaignState.SUSPENDED), step.reason
+        return step
+
+    def _store_later(
+        self, step: Step, sample: int, shot: Shot, taken: Taken, writer: ThreadPoolExecutor
+    ) -> None:
+        """Count `shot` and write it; it is added to the database with its batch."""
+        for kind, text in taken.events:
+            self._say(kind, text)
+        events, self._noted = self._noted, []
+        hits = _used(step, taken, sample)
+        self._hits.update(hits)
+        prompts, self._done_by_itself = self._done_by_itself, []
+        written = writer.submit(self._written, shot, taken)
+        self._pending.append(_Pending(written, hits, events, prompts, taken.original))
+        self._fitting = self._fitting.after(shot)
+        self._locked_for = 0.0
+        self._note(shot)
+        if self._plan.ball_handling.magazine:
+            self._watcher.feeder(len(self._fitting.feeder))
+        if len(self._pending) >= self._batch:
+            self._commit()
 
     def _stood_too_long(self, step: Step, number: int) -> bool:
         """Store a long time without a shot; return whether the block restarts, whose shots are set aside."""
@@ -448,8 +347,7 @@ class Runner:
                 self._watcher.say(text)
                 return True
             words += f"; {location} was restarted {_MAX_RESTARTS} times already and continues"
-        self._note_event("gap", words)
-        self._watcher.say(words)
+        self._report("gap", words)
         return False
 
     def _restart(self, course: Course, step: Step | Ending) -> Step:
@@ -473,10 +371,8 @@ class Runner:
         if self._open is None:
             self._stand(CampaignState.RUNNING, "")
 
-    def _fit(
-        self, step: Step, number: int, sample: int, interrupted: Callable[[], bool]
-    ) -> tuple[CampaignState, str] | None:
-        """Prompt the operator for the work before the shot; return the ending if one is requested instead."""
+    def _fit(self, step: Step, number: int, sample: int) -> None:
+        """Prompt the operator for the work before the shot."""
         while wish := missing(
             self._plan, self._fitting, step, sample, self._hits
         ) or self._source.required_restart(step):
@@ -490,10 +386,8 @@ class Runner:
             else:
                 self._commit()
                 prompt = self._opened(wish, number)
-                if ending := self._wait_for_answer(prompt, wish.kind, interrupted):
-                    return ending
+                self._wait_for_answer(prompt, wish.kind)
             self._fitting = self._fitting.with_done(prompt)
-        return None
 
     def _prompt(self, wish: Preparation, number: int, now: datetime) -> Prompt:
         self._asked_so_far += 1
@@ -510,9 +404,7 @@ class Runner:
         self._store.ask(self._entry.id, prompt)
         return prompt
 
-    def _wait_for_answer(
-        self, prompt: Prompt, kind: PromptKind, interrupted: Callable[[], bool]
-    ) -> tuple[CampaignState, str] | None:
+    def _wait_for_answer(self, prompt: Prompt, kind: PromptKind) -> None:
         campaign, operator = self._entry.id, self._operator
         self._source.grant_access(kind)
         self._stand(CampaignState.WAITING, prompt.text)
@@ -522,10 +414,11 @@ class Runner:
             while not self._store.prompt(campaign, prompt.number).answered:
                 requested, _ = self._requested()
                 if requested == "abort":
-                    return CampaignState.ABORTED, self._by_request("aborted")
-                if requested == "stop" or interrupted():
+                    raise _RunEnd(CampaignState.ABORTED, self._by_request("aborted"))
+                if requested == "stop" or self._interrupted():
                     how = self._by_request("").strip() if requested else f"by {self._cause()}"
-                    return CampaignState.STOPPED, f"stopped {how} while it waited ({prompt.text.rstrip('.')})"
+                    reason = f"stopped {how} while it waited ({prompt.text.rstrip('.')})"
+                    raise _RunEnd(CampaignState.STOPPED, reason)
                 if operator and operator.answered():
                     self._store.answer(campaign, prompt.number, operator.name, datetime.now(UTC))
                 else:
@@ -535,7 +428,6 @@ class Runner:
                 operator.hide()
         self._source.resume_after_access(kind, self._ask_also)
         self._stand(CampaignState.RUNNING, "")
-        return None
 
     def _ask_also(self, text: str) -> None:
         """Show the work that remains after the answer."""
@@ -545,8 +437,8 @@ class Runner:
         self._store.change(self._entry.id, state=state, reason=reason)
         self._watcher.standing(state, reason)
 
-    def _hindered(self, step: Step, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
-        """Suspend during a temporary hindrance; yield as `_asked`."""
+    def _wait_for_hindrance(self, step: Step) -> None:
+        """Suspend during a temporary hindrance."""
         if (first := self._source.hindrance(step)) is None:
             return
         self._commit()
@@ -556,26 +448,23 @@ class Runner:
         self._stand(CampaignState.SUSPENDED, first.text)
         self._watcher.say(f"suspended: {first.text}")
         while (now := time.monotonic()) - free_since < _SETTLED:
-            for ending in self._asked(interrupted):
-                yield ending
-                return
+            self._obey_requests()
             if found := self._source.hindrance(step):
                 free_since = now
                 if now - began > found.timeout:
                     self._source.rest()
-                    yield CampaignState.SUSPENDED, f"{found.text}, for {now - began:.0f} s now"
-                    return
+                    raise _RunEnd(CampaignState.SUSPENDED, f"{found.text}, for {now - began:.0f} s now")
                 if self._store.standing(self._entry.id).state is not CampaignState.SUSPENDED:
                     self._stand(CampaignState.SUSPENDED, found.text)  # it was paused meanwhile
             time.sleep(_LOOK)
         self._stand(CampaignState.RUNNING, "")
-        text = f"{first.text}; continued automatically after {now - began:.0f} s"
-        self._say("suspended", text)
+        self._say("suspended", f"{first.text}; continued automatically after {now - began:.0f} s")
 
     def _say(self, kind: str, text: str) -> None:
         """Report an event now, and store it with the next shot."""
         self._watcher.say(text)
-        self._noted.append((self._source.time_of(self.taken + 1), kind, text))
+        number = self.taken + 1
+        self._noted.append(Event(self._source.time_of(number), number, kind, text))
 
     def _requested(self) -> tuple[str, str]:
         """Return the pending request and who made it; a sign of life."""
@@ -588,35 +477,34 @@ class Runner:
         _, by = self._requested()
         return f"{done} by request{f' of {by}' if by else ''}"
 
-    def _asked(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
-        """Yield the ending if one is requested; waits while paused."""
+    def _obey_requests(self) -> None:
+        """Wait while paused.
+
+        Raises:
+            _RunEnd: an end is requested.
+        """
         paused: float | None = None
         while True:
-            if interrupted():
-                yield CampaignState.STOPPED, f"interrupted by {self._cause()}"
-                return
+            if self._interrupted():
+                raise _RunEnd(CampaignState.STOPPED, f"interrupted by {self._cause()}")
             match self._requested()[0]:
                 case "stop":
-                    yield CampaignState.STOPPED, self._by_request("stopped")
-                    return
+                    raise _RunEnd(CampaignState.STOPPED, self._by_request("stopped"))
                 case "abort":
-                    yield CampaignState.ABORTED, self._by_request("aborted")
-                    return
+                    raise _RunEnd(CampaignState.ABORTED, self._by_request("aborted"))
                 case "pause":
                     if paused is None:
                         paused, text = time.monotonic(), self._by_request("paused")
                         self._commit()
                         self._source.rest()
-                        self._note_event("paused", text)
+                        self._report("paused", text)
                         self._stand(CampaignState.PAUSED, text)
-                        self._watcher.say(text)
                     time.sleep(_LOOK)
                 case _:
                     if paused is not None:
-                        text = f"continued after a pause of {duration_text(time.monotonic() - paused)}"
-                        self._note_event("resumed", text)
+                        duration = duration_text(time.monotonic() - paused)
+                        self._report("resumed", f"continued after a pause of {duration}")
                         self._stand(CampaignState.RUNNING, "")
-                        self._watcher.say(text)
                     return
 
     def _gated(self, step: Step, taken: Taken) -> Shot:
@@ -686,9 +574,9 @@ class Runner:
                             one.original.unlink(missing_ok=True)
 
 
-def _used(step: Step, taken: Taken, sample: int) -> tuple[Hit, ...]:
+def _used(step: Step, taken: Taken, sample: int) -> list[Hit]:
     """Return the uses of the shot's ball, club and valves."""
     arm = step.trial.arm
-    valves = tuple(Hit("valve", name) for name in ACTUATORS) if taken.cycles is not None else ()
-    struck = (Hit("ball", arm.ball, sample), Hit("club", arm.club)) if taken.struck else ()
-    return (*valves, *struck)
+    valves = [Hit("valve", name) for name in ACTUATORS] if taken.cycles is not None else []
+    struck = [Hit("ball", arm.ball, sample), Hit("club", arm.club)] if taken.struck else []
+    return valves + struck

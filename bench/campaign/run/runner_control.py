@@ -10,14 +10,13 @@ from operator import getitem
 from typing import Any
 
 from bench.base.errors import Refused
-from bench.calibration.archive import newest_aerodynamics
 from bench.campaign.interruptions import RunStart, differences, software_versions
 from bench.campaign.plan.carry import Measured, measured_of
 from bench.campaign.plan.gate import planned_delivery
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import plan_from_record
 from bench.campaign.plan.shot_sequence import Course, course
-from bench.campaign.run.campaign_control import bench_lock, require_free, runner_lock
+from bench.campaign.run.campaign_control import bench_lock, runner_lock
 from bench.campaign.run.corrections import CampaignCorrections
 from bench.campaign.run.live_shots import HOLDER, LiveShots, require_live
 from bench.campaign.run.plan_requirements import (
@@ -32,15 +31,15 @@ from bench.campaign.run.plan_requirements import (
     series_words,
     speed_sensitivities,
 )
-from bench.campaign.run.progress import CompositeWatcher, ProgressPublisher
-from bench.campaign.run.runner import BATCH, Operator, Runner, RunOutcome, ShotSource, Watcher
+from bench.campaign.run.progress import CampaignProgress
+from bench.campaign.run.runner import BATCH, Runner, RunOutcome
+from bench.campaign.run.shot_source import Operator, ShotSource, Watcher
 from bench.campaign.run.simulated_shots import SimulatedShots
 from bench.campaign.statistics.analysis import decide
 from bench.config import Configuration
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
 from bench.network.lease import MAX_HOLDER_LENGTH
-from bench.store.air_readings import newest_reading
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState
 from sim.air import Air
@@ -95,11 +94,6 @@ def new_entry(
     )
 
 
-def measured_balls(plan: CampaignPlan, store: CampaignStore, bench: str) -> Measured:
-    """Return the newest measured aerodynamics of the plan's balls that have some, as `bench` stores them."""
-    return newest_aerodynamics(store.database, bench, plan.ball_names)
-
-
 def bench_calibrations(
     plan: CampaignPlan, configuration: Configuration, store: CampaignStore, now: datetime
 ) -> dict[str, Any]:
@@ -148,10 +142,10 @@ def run_campaign(
         if not live:
             source = SimulatedShots(plan, configuration, corrections, interrupted, measured)
         else:
-            stack.enter_context(bench_lock(data_dir, entry))
+            stack.enter_context(bench_lock(data_dir, entry.bench, entry.id))
             client = stack.enter_context(BenchClient.connect(configuration))
             publish = stack.enter_context(client.publish_campaign(entry.id))
-            watcher = CompositeWatcher(watcher, ProgressPublisher(entry, plan, publish))
+            watcher = Watcher(watcher, CampaignProgress(entry, plan, publish))
             air = partial(_air_now, entry, plan, store)
             for warning in _warnings(plan, profiles, entry, store, client.status(), air()):
                 watcher.say(warning)
@@ -178,7 +172,7 @@ def run_campaign(
 def _air_now(entry: CampaignEntry, plan: CampaignPlan, store: CampaignStore) -> Air | None:
     """Return the air at the bench by its newest reading, None if that is too old."""
     since = datetime.now(UTC) - timedelta(seconds=plan.air.valid_for)
-    reading = newest_reading(store.database, entry.bench, since)
+    reading = store.newest_air(entry.bench, since)
     return None if reading is None else reading.air
 
 
@@ -214,7 +208,8 @@ def bench_facts(
         Refused: the bench cannot take them, or is held by another runner or person.
     """
     settings = configuration.bench
-    require_free(settings.data_dir, settings.id)
+    with bench_lock(settings.data_dir, settings.id):
+        pass
     require_live(plan, require_swings(plan, configuration), configuration.clubs, status, measured)
     facts = {name: status[name] for name in ("driver", "profile", "club", "series")}
     return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}

@@ -6,22 +6,21 @@ where the server would have them from, at the times they would come.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from math import pi
-from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 
-from bench.campaign.plan.carry import Measured, ShotCarry
+from bench.campaign.plan.carry import Measured, carry_columns
 from bench.campaign.plan.plan import CampaignPlan, Simulation
-from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Step
-from bench.campaign.run.corrections import CorrectedProfiles, Drift
+from bench.campaign.run.corrections import CampaignCorrections, Drift
+from bench.campaign.run.shot_source import ShotSource, Taken
 from bench.config import Configuration
 from bench.learning.learn import LearningProblem, Swinger, on_series
 from bench.records.shot.recorded_shot import FlightConditions
@@ -38,6 +37,7 @@ from drivers.launch_monitor.record import LaunchRecord
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import fly
+from sim.impact import Delivery
 from sim.launch_monitor import MonitorParameters, monitor_messages
 from sim.plant import PlantParameters
 
@@ -83,23 +83,6 @@ _SHOTS, _SAMPLES, _CARRIES = 1, 2, 3
 """Streams of random numbers."""
 
 
-class Taken(NamedTuple):
-    """A shot with its record."""
-
-    shot: Shot
-    cycles: np.ndarray[Any, Any] | None
-    """None if the robot did not swing."""
-    metadata: Mapping[str, Any]
-    struck: bool
-    """Whether the ball was hit, which wears it."""
-    events: tuple[tuple[str, str], ...] = ()
-    """(kind, text) of the events before it."""
-    stopped: bool = False
-    """Whether the robot was stopped within the swing."""
-    original: Path | None = None
-    """The bench's own record, which is moved to the campaign's folder."""
-
-
 def random_of(plan: CampaignPlan, number: int) -> np.random.Generator:
     """Return the random numbers of shot `number`; the first six are normal: ball, supply, launch monitor."""
     return np.random.default_rng((plan.design.seed, _SHOTS, number))
@@ -139,36 +122,50 @@ def reported_carry(
     return max(0.0, carry + plan.simulation.carry * noise)
 
 
-def air_columns(air: Air | None) -> dict[str, Any]:
-    """Return the columns of the measured `air`."""
-    if air is None:
-        return {}
-    return {
-        "air_temperature_k": air.temperature,
-        "air_pressure_pa": air.pressure,
-        "relative_humidity": air.relative_humidity,
-    }
-
-
-def step_columns(step: Step, number: int, sample: int) -> dict[str, Any]:
-    """Return the columns of a shot that are known before it is taken."""
+def shot_row(
+    step: Step,
+    number: int,
+    sample: int,
+    time_utc: datetime,
+    status: ShotStatus,
+    reason: str,
+    *,
+    delivery: Delivery | None = None,
+    launch: Launch | None = None,
+    air: Air | None = None,
+) -> Shot:
+    """Return the row of shot `number`, taken as `step` with ball `sample` in the measured `air`."""
     trial, arm = step.trial, step.trial.arm
-    return {
-        "shot": number,
-        "block": trial.block,
-        "position": trial.position,
-        "club": arm.club,
-        "ball": arm.ball,
-        "swing": arm.swing,
-        "role": str(trial.role),
-        "section": trial.section,
-        "attempt": step.attempt,
-        "sample": sample,
-    }
+    weather: dict[str, Any] = {}
+    if air is not None:
+        weather = {
+            "air_temperature_k": air.temperature,
+            "air_pressure_pa": air.pressure,
+            "relative_humidity": air.relative_humidity,
+        }
+    return Shot.from_measurements(
+        shot=number,
+        block=trial.block,
+        position=trial.position,
+        club=arm.club,
+        ball=arm.ball,
+        swing=arm.swing,
+        role=str(trial.role),
+        section=trial.section,
+        attempt=step.attempt,
+        sample=sample,
+        time_utc=time_utc,
+        status=status,
+        reason=reason,
+        delivery=delivery,
+        launch=launch,
+        flight=None,
+        **weather,
+    )
 
 
-class SimulatedShots:
-    """The simulated bench as a campaign sees it."""
+class SimulatedShots(ShotSource):
+    """The simulated bench in lock-step; hindrances are part of its shots, and it swings every profile."""
 
     simulated = True
 
@@ -176,13 +173,13 @@ class SimulatedShots:
         self,
         plan: CampaignPlan,
         configuration: Configuration,
-        swings: CorrectedProfiles,
+        swings: CampaignCorrections,
         stop: Callable[[], bool],
         measured: Measured | None = None,
     ) -> None:
         """`measured` are the aerodynamics that were measured, by ball."""
         self._plan, self._configuration, self._stop = plan, configuration, stop
-        self._carry = ShotCarry(plan, measured or {})
+        self._measured = measured or {}
         self._swings = swings
         s = plan.simulation
         self._monitor = MonitorParameters(
@@ -214,35 +211,15 @@ class SimulatedShots:
         self._armed.pop(drift.arm, None)
         return text
 
-    def hindrance(self, step: Step) -> None:
-        """Return None: hindrances are part of the simulated shot."""
-
-    def rest(self) -> None:
-        """Nothing is to be done: its time stands still between two shots."""
-
-    def required_restart(self, step: Step) -> None:
-        """Return nothing: it swings every profile."""
-
-    def grant_access(self, kind: PromptKind) -> None:
-        """No action needed."""
-
-    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
-        """No action needed."""
-
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""
         s, arm = self._plan.simulation, step.trial.arm
         events = []
         if number in s.guard_opened:
             events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
-        if number in s.low_supply:
-            events.append(("supply", "supply pressure too low; waited until it was back"))
-        if number in s.monitor_disconnected:
-            events.append(
-                ("suspended", "no launch monitor was connected; continued automatically once one was")
-            )
         if fault := self._feeder_fault(arm.ball, number, sample):
-            shot = self._shot(step, number, sample, None, ShotStatus.FAILED, fault)
+            time, air = self.time_of(number), self._configuration.air
+            shot = shot_row(step, number, sample, time, ShotStatus.FAILED, fault, air=air)
             return Taken(shot, None, {}, False, tuple(events))
         armed, base = self._bench(arm.swing, arm.club)
         random = random_of(self._plan, number)
@@ -271,8 +248,6 @@ class SimulatedShots:
         s = self._plan.simulation
         if number in s.feeder_jam:
             return "feeder jam: no ball came"
-        if number in s.feeder_empty:
-            return "feeder empty: no ball came"
         if number in s.wrong_ball and self._plan.ball_handling.identify:
             return f"feeder: ball {ball} {sample + 1} came, {ball} {sample} was to come"
         return ""
@@ -294,35 +269,17 @@ class SimulatedShots:
                 status, reason = ShotStatus.EXCLUDED, reason or heard.reason
             elif heard.launch is not None and heard.launch.launch is not None:
                 told, launch = heard.launch.carry, heard.launch.launch
-                carries, doubt = self._carry.columns(step.trial.arm.ball, launch, around, told, ball)
+                name = step.trial.arm.ball
+                carries, doubt = carry_columns(self._plan, self._measured, name, launch, around, told, ball)
                 if doubt:
                     status, reason = ShotStatus.EXCLUDED, reason or doubt
-        shot = self._shot(step, number, sample, result, status, reason)
+        time, delivery, air = self.time_of(number), result.delivery, self._configuration.air
+        shot = shot_row(step, number, sample, time, status, reason, delivery=delivery, air=air)
         if heard.launch is not None:
             shot = replace(
                 shot, **{**reported_columns(heard.launch), "launch_source": "simulated", **carries}
             )
         return shot
-
-    def _shot(
-        self,
-        step: Step,
-        number: int,
-        sample: int,
-        result: SwingResult | None,
-        status: ShotStatus,
-        reason: str,
-    ) -> Shot:
-        return Shot.from_measurements(
-            **step_columns(step, number, sample),
-            **air_columns(self._configuration.air),
-            time_utc=self.time_of(number),
-            delivery=None if result is None else result.delivery,
-            launch=None,
-            flight=None,
-            status=status,
-            reason=reason,
-        )
 
     def _bench(self, swing: str, club: str) -> tuple[ArmedBench, dict[str, Any]]:
         """Return the bench armed with a swing and a club, and the metadata of all its records."""

@@ -21,10 +21,9 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 from bench.campaign.plan.gate import OUTSIDE
-from bench.campaign.plan.plan import CampaignPlan, controls_per_block, levels
+from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role, looks_after
 from bench.campaign.statistics.block_model import (
     Array,
@@ -32,6 +31,7 @@ from bench.campaign.statistics.block_model import (
     Codes,
     Contrast,
     ScatterRatio,
+    Spread,
     are_pooled,
     ball_columns,
     enough_mountings,
@@ -41,7 +41,7 @@ from bench.campaign.statistics.block_model import (
     scatter_ratios,
     set_codes,
     shots_within,
-    variance_components,
+    spread,
     within_club,
 )
 from bench.campaign.statistics.sample_size import Look, look_now, power_of_shift, same_power_of_error
@@ -55,26 +55,8 @@ from bench.campaign.statistics.unequal_variances import (
 )
 from bench.records.shot.shot import Shot, ShotStatus
 
-COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
-"""Column of each quantity whose name lacks the unit."""
-
 OUTLIER = 3.5
 """Robust z (Iglewicz and Hoaglin 1993) from which a shot is flagged; it stays in the analysis."""
-
-
-class Spread(NamedTuple):
-    """Mean and standard deviation of one shot, with intervals for untested balls; NaN with too few."""
-
-    n: int
-    """Number of shots."""
-    balls: int
-    """Number of balls, in a split-plot of mountings; with only one, the values are those of this ball."""
-    mean: float
-    low: float
-    high: float
-    sd: float
-    sd_low: float
-    sd_high: float
 
 
 @dataclass(frozen=True)
@@ -207,7 +189,7 @@ def _analysed(
     controls = [shot for shot in mine if shot.role == Role.CONTROL]
     names, factor = levels(plan), plan.design.compare
     confirmatory, fit = None, None
-    if controls_per_block(plan) and plan.analysis.drift == "linear":
+    if plan.control.ball and plan.analysis.drift == "linear":
         method = "drift removed by the control ball"
         confirmatory, fit = _compared(plan, tests, controls, method, look.alpha)
     if confirmatory is None:
@@ -241,14 +223,13 @@ def _within(
 
 def values_of(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[list[Shot], Array]:
     """Return the valid shots that have the plan's quantity, and its values."""
-    column = COLUMN.get(plan.analysis.quantity, plan.analysis.quantity)
+    column = plan.column
     kept = [shot for shot in shots if shot.status is ShotStatus.VALID and getattr(shot, column) is not None]
     return kept, np.array([getattr(shot, column) for shot in kept], dtype=float)
 
 
-class _Fit(NamedTuple):
-    fit: BlockFit
-    shots: list[Shot]
+_Fit = tuple[BlockFit, list[Shot]]
+"""A fitted model, and its shots."""
 
 
 class _Data(NamedTuple):
@@ -300,18 +281,6 @@ def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -
     )
 
 
-def _described(
-    plan: CampaignPlan, names: Sequence[str], pair: tuple[int, int, Contrast], hits: Codes, balls: Codes
-) -> _Described:
-    """Return a `pair` of levels with the fewest hits and balls of the two."""
-    one, two, contrast = pair
-    models = plan.design.compare == "ball"
-    fewest = int(min(balls[one], balls[two])) if models or plan.split else 0
-    return _Described(
-        names[one], names[two], contrast, int(min(hits[one], hits[two])), fewest, models and fewest > 1
-    )
-
-
 def _compared(
     plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str, alpha: float
 ) -> tuple[Comparison | None, _Fit | None]:
@@ -321,7 +290,7 @@ def _compared(
         return None, None
     count = len(names) + bool(controls)
     fit = data.fit(count)
-    kept = _Fit(fit, data.shots)
+    kept = fit, data.shots
     units = units_of(data.level, data.ball, count)
     if fit.dof < 1 or (plan.split and not enough_mountings(data.level, data.block, count)):
         return None, kept
@@ -337,7 +306,6 @@ def _compared(
     if not found and len(names) > 1:
         return None, kept
     joint = together(errors, [(one, two) for one, two, _ in found], fit.dof)
-    described = [_described(plan, names, pair, hits, units.balls) for pair in found]
     slope = slope_error = None
     if controls:
         slope = float(fit.effects[count])
@@ -351,7 +319,7 @@ def _compared(
             between,
             fit.dof,
             joint.single(alpha),
-            _judged(plan, described, joint, alpha),
+            _judged(plan, found, joint, alpha, hits, units.balls),
             slope,
             slope_error,
             _explained(plan, data, fit, count),
@@ -400,36 +368,33 @@ def _scatter(
     return scatter_ratios(block, values, data.level, data.ball, names, plan.analysis.confidence)
 
 
-class _Described(NamedTuple):
-    first: str
-    second: str
-    contrast: Contrast
-    shots: int
-    balls: int
-    models: bool
-
-
 def _judged(
-    plan: CampaignPlan, found: Sequence[_Described], joint: JointErrors, alpha: float
+    plan: CampaignPlan,
+    found: Sequence[tuple[int, int, Contrast]],
+    joint: JointErrors,
+    alpha: float,
+    hits: Codes,
+    balls: Codes,
 ) -> tuple[Pair, ...]:
-    """Adjust all pairs together and put each into one word."""
-    a, single = plan.analysis, joint.single(alpha)
+    """Adjust all pairs together and put each into one word; `hits` and `balls` are those of each level."""
+    a, single, names = plan.analysis, joint.single(alpha), levels(plan)
     same: Sequence[float | None] = [None] * len(found)
     if a.equivalence_margin:
-        same = list[float | None](holm([pair.contrast.p_same(a.equivalence_margin) for pair in found]))
+        same = list[float | None](holm([c.p_same(a.equivalence_margin) for _, _, c in found]))
     pairs = []
-    for pair, equal in zip(found, same, strict=True):
-        c = pair.contrast
+    for (one, two, c), equal in zip(found, same, strict=True):
         adjusted = joint.adjusted(c.p)
         power = power_of_shift(a.target_difference / c.error, c.dof, single) if c.error else 1.0
         enough = power >= a.power and (
             not a.equivalence_margin
             or same_power_of_error(a.equivalence_margin, c.error, c.dof, alpha / len(found)) >= a.power
         )
+        models = plan.design.compare == "ball"
+        fewest = int(min(balls[one], balls[two])) if models or plan.split else 0
         pairs.append(
             Pair(
-                pair.first,
-                pair.second,
+                names[one],
+                names[two],
                 c.estimate,
                 c.error,
                 c.dof,
@@ -438,9 +403,9 @@ def _judged(
                 c.p,
                 adjusted,
                 equal,
-                pair.shots,
-                pair.balls,
-                pair.models,
+                int(min(hits[one], hits[two])),
+                fewest,
+                models and fewest > 1,
                 power,
                 _verdict(adjusted < alpha, equal is not None and equal < alpha, enough),
             )
@@ -454,44 +419,6 @@ def _verdict(different: bool, same: bool, enough: bool) -> str:
     if same:
         return "same"
     return "open" if enough else "not enough shots"
-
-
-def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -> Spread:
-    """Return mean and standard deviation of one shot of (n,) values, balls being random where known.
-
-    With more than one ball the mean's interval is that of the balls' means (Student), the standard deviation
-    holds scatter between and within balls (Satterthwaite); else shots count for themselves.
-    """
-    n, nan = len(values), float("nan")
-    codes = np.zeros(n, int) if ball is None else np.unique(ball, return_inverse=True)[1]
-    balls = int(codes.max()) + 1 if n else 0
-    if n < 2:
-        return Spread(n, balls, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
-    mean, error = float(values.mean()), mean_error(values, codes)
-    grouped = codes if 1 < balls < n else np.zeros(n, int)
-    whole = variance_components(values, grouped, confidence)[1]
-    half = float(special.stdtrit(error.dof, (1 + confidence) / 2)) * error.error
-    return Spread(n, balls, mean, mean - half, mean + half, whole.sd, whole.low, whole.high)
-
-
-class MeanError(NamedTuple):
-    """Standard uncertainty of a mean from the scatter of its series."""
-
-    error: float
-    dof: float
-
-
-def mean_error(values: Array, codes: Codes) -> MeanError:
-    """Return the standard uncertainty of the mean of n >= 2 `values` (n,) of balls `codes` (n,)."""
-    n, balls, mean = len(values), int(codes.max()) + 1, float(values.mean())
-    if 1 < balls < n:
-        hits = np.bincount(codes)
-        sums = np.bincount(codes, values - mean)
-        # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
-        variance, dof = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
-        dof = min(dof, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else dof
-        return MeanError(sqrt(variance), max(dof, 1.0))
-    return MeanError(float(values.std(ddof=1)) / sqrt(n), float(n - 1))
 
 
 def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
@@ -511,15 +438,15 @@ def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
 
 def _outliers(fit: _Fit | None) -> tuple[tuple[int, float], ...]:
     """Flag residuals by Iglewicz and Hoaglin's robust z."""
-    if fit is None or len(fit.shots) < 5:
+    if fit is None or len(fit[1]) < 5:
         return ()
-    residuals = fit.fit.residuals
+    residuals, shots = fit[0].residuals, fit[1]
     off = residuals - np.median(residuals)
     scale = 1.4826 * float(np.median(np.abs(off)))
     if not scale:
         return ()
     z = off / scale
-    return tuple((fit.shots[i].shot, float(z[i])) for i in np.flatnonzero(np.abs(z) > OUTLIER))
+    return tuple((shots[i].shot, float(z[i])) for i in np.flatnonzero(np.abs(z) > OUTLIER))
 
 
 def interim_analysis(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[int, Comparison] | None:

@@ -29,13 +29,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf, isfinite, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special, stats
 
-from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan import CampaignPlan, Delivered
 from bench.records.shot.shot import Shot, ShotStatus
 
 Array = NDArray[np.float64]
@@ -235,18 +235,6 @@ def as_split_plot(plan: CampaignPlan) -> CampaignPlan | None:
     return None
 
 
-FIGURES = (
-    ("club_speed_mps", "Club speed", "m/s", 3),
-    ("attack_angle_deg", "Attack angle", "°", 3),
-    ("club_path_deg", "Club path", "°", 3),
-    ("face_angle_deg", "Face angle", "°", 3),
-    ("dynamic_loft_deg", "Dynamic loft (shaft lean)", "°", 3),
-    ("strike_x_mm", "Strike, heel–toe", "mm", 2),
-    ("strike_y_mm", "Strike, low–high", "mm", 2),
-)
-"""Column, name, unit and digits of each figure of the delivery."""
-
-
 @dataclass(frozen=True)
 class Scatter:
     """A standard deviation with its 95 % interval; NaN with too few shots."""
@@ -261,9 +249,6 @@ class Repeatability:
     """One figure of the delivery with one swing and club."""
 
     column: str
-    name: str
-    unit: str
-    digits: int
     n: int
     blocks: int
     mean: float
@@ -282,10 +267,11 @@ def repeatability(shots: Sequence[Shot]) -> dict[tuple[str, str], list[Repeatabi
     for shot in shots:
         if shot.status is ShotStatus.VALID and shot.block:
             groups.setdefault((shot.swing, shot.club), []).append(shot)
-    return {key: [r for row in FIGURES if (r := _figure(*row, mine))] for key, mine in groups.items()}
+    columns = get_args(Delivered)
+    return {key: [r for name in columns if (r := _figure(name, mine))] for key, mine in groups.items()}
 
 
-def _figure(column: str, name: str, unit: str, digits: int, shots: Sequence[Shot]) -> Repeatability | None:
+def _figure(column: str, shots: Sequence[Shot]) -> Repeatability | None:
     found = [(getattr(shot, column), shot.block) for shot in shots if getattr(shot, column) is not None]
     if not found:
         return None
@@ -297,9 +283,6 @@ def _figure(column: str, name: str, unit: str, digits: int, shots: Sequence[Shot
         within = successive_scatter(values)
     return Repeatability(
         column,
-        name,
-        unit,
-        digits,
         len(values),
         int(codes.max()) + 1,
         float(values.mean()),
@@ -346,6 +329,59 @@ def _interval(variance: float, dof: float, confidence: float) -> Scatter:
     tails = [(1 + confidence) / 2, (1 - confidence) / 2]
     low, high = sd * np.sqrt(dof / stats.chi2.ppf(tails, dof))
     return Scatter(sd, float(low), float(high))
+
+
+class Spread(NamedTuple):
+    """Mean and standard deviation of one shot, with intervals for untested balls; NaN with too few."""
+
+    n: int
+    """Number of shots."""
+    balls: int
+    """Number of balls, in a split-plot of mountings; with only one, the values are those of this ball."""
+    mean: float
+    low: float
+    high: float
+    sd: float
+    sd_low: float
+    sd_high: float
+
+
+def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -> Spread:
+    """Return mean and standard deviation of one shot of (n,) values, balls being random where known.
+
+    With more than one ball the mean's interval is that of the balls' means (Student), the standard deviation
+    holds scatter between and within balls (Satterthwaite); else shots count for themselves.
+    """
+    n, nan = len(values), float("nan")
+    codes = np.zeros(n, int) if ball is None else np.unique(ball, return_inverse=True)[1]
+    balls = int(codes.max()) + 1 if n else 0
+    if n < 2:
+        return Spread(n, balls, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
+    mean, error = float(values.mean()), mean_error(values, codes)
+    grouped = codes if 1 < balls < n else np.zeros(n, int)
+    whole = variance_components(values, grouped, confidence)[1]
+    half = float(special.stdtrit(error.dof, (1 + confidence) / 2)) * error.error
+    return Spread(n, balls, mean, mean - half, mean + half, whole.sd, whole.low, whole.high)
+
+
+class MeanError(NamedTuple):
+    """Standard uncertainty of a mean from the scatter of its series."""
+
+    error: float
+    dof: float
+
+
+def mean_error(values: Array, codes: Codes) -> MeanError:
+    """Return the standard uncertainty of the mean of n >= 2 `values` (n,) of balls `codes` (n,)."""
+    n, balls, mean = len(values), int(codes.max()) + 1, float(values.mean())
+    if 1 < balls < n:
+        hits = np.bincount(codes)
+        sums = np.bincount(codes, values - mean)
+        # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
+        variance, dof = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
+        dof = min(dof, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else dof
+        return MeanError(sqrt(variance), max(dof, 1.0))
+    return MeanError(float(values.std(ddof=1)) / sqrt(n), float(n - 1))
 
 
 class ScatterRatio(NamedTuple):

@@ -24,7 +24,6 @@ from scipy import stats
 
 from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role
-from bench.campaign.statistics.analysis import COLUMN
 from bench.campaign.statistics.block_model import Array, Codes
 from bench.records.shot.shot import Shot, ShotStatus
 
@@ -175,8 +174,7 @@ def control_charts(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[ControlCh
     Empty without a control ball, or with fewer than `MIN_VALUES` of its values.
     """
     controls = [shot for shot in shots if shot.role == Role.CONTROL and shot.status is ShotStatus.VALID]
-    column = COLUMN.get(plan.analysis.quantity, plan.analysis.quantity)
-    charts = (_chart(name, controls) for name in dict.fromkeys((column, "ball_speed_mps")))
+    charts = (_chart(name, controls) for name in dict.fromkeys((plan.column, "ball_speed_mps")))
     return tuple(chart for chart in charts if chart is not None)
 
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, special, stats
 
-from bench.campaign.plan.plan import CampaignPlan, controls_per_block, levels
+from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role, block_trials, is_settled, looks_after, sections
 from bench.campaign.statistics.block_model import Array, Codes, are_pooled, enough_mountings, fit_blocks
 from bench.campaign.statistics.unequal_variances import Draws, UnitLayout, drawn_pairs, together, units_of
@@ -224,7 +224,7 @@ def predict_precision(
     `sd` is the standard deviation of one shot, after covariates; `ball_sd` is that between balls, or between
     mountings in a split-plot.
     """
-    count, controls = len(levels(plan)), bool(controls_per_block(plan))
+    count, controls = len(levels(plan)), bool(plan.control.ball)
     if count < 2 or sd <= 0:
         return None
     blocks = blocks or plan.design.blocks
@@ -284,58 +284,34 @@ def series_needed(
     known = predict_precision(plan, sd, ball_sd, min(plan.design.blocks, _REFERENCE))
     if known is None:
         return None, None
-    if plan.split:
-        return _mountings_needed(plan, known)
-    balls = plan.ball_handling.samples if plan.design.compare == "ball" else 0
-    hits = max(1, round(plan.design.blocks / balls)) if balls else 1
     alpha = alpha_at_end(plan)
 
-    def scaled(shots: int, most: int) -> tuple[float, float]:
-        """Return error and degrees of freedom of a difference with so many shots and balls of each."""
-        return _scaled(known, shots, min(shots, most) if most != 1 else shots)
-
-    def found(shots: int, most: int) -> float:
-        error, dof = scaled(shots, most)
+    def found(shots: int, units: int) -> float:
+        error, dof = _scaled(known, shots, units)
         return power_of_shift(a.target_difference / error, dof, known.single)
 
-    def same(shots: int, most: int) -> float:
-        error, dof = scaled(shots, most)
+    def same(shots: int, units: int) -> float:
+        error, dof = _scaled(known, shots, units)
         return same_power_of_error(a.equivalence_margin, error, dof, alpha / known.pairs)
 
-    results: list[SeriesSize | None] = []
-    for chance in (found, same) if a.equivalence_margin else (found,):
-        most = balls or 1
-        limit = balls * plan.ball_handling.hits if balls else 1_000_000
-        shots = blocks_needed(lambda n: chance(n, most), a.power)  # noqa: B023 - called at once
-        if shots is not None and shots <= limit:
-            results.append(SeriesSize(min(shots, balls), shots))
-            continue
-        more = None
-        if balls > 1:
-            more = blocks_needed(lambda n: chance(n * hits, n), a.power)  # noqa: B023 - called at once
-        results.append(None if more is None else SeriesSize(more, more * hits))
-    return results[0], results[1] if a.equivalence_margin else None
+    return _series(plan, found), _series(plan, same) if a.equivalence_margin else None
 
 
-def _mountings_needed(
-    plan: CampaignPlan, known: PredictedPrecision
-) -> tuple[SeriesSize | None, SeriesSize | None]:
-    """Return what `series_needed` returns, of more mountings with the plan's hits each."""
-    a, hits, alpha = plan.analysis, plan.shots_per_mounting, alpha_at_end(plan)
-
-    def found(mountings: int) -> float:
-        error, dof = _scaled(known, mountings * hits, mountings)
-        return power_of_shift(a.target_difference / error, dof, known.single)
-
-    def same(mountings: int) -> float:
-        error, dof = _scaled(known, mountings * hits, mountings)
-        return same_power_of_error(a.equivalence_margin, error, dof, alpha / known.pairs)
-
-    sizes = [
-        blocks_needed(chance, a.power) for chance in ((found, same) if a.equivalence_margin else (found,))
-    ]
-    results = [None if n is None else SeriesSize(n, n * hits) for n in sizes]
-    return results[0], results[1] if a.equivalence_margin else None
+def _series(plan: CampaignPlan, chance: Callable[[int, int], float]) -> SeriesSize | None:
+    """Return the smallest series whose `chance` by shots and units has the plan's power; None: too large."""
+    power = plan.analysis.power
+    if plan.split:
+        hits = plan.shots_per_mounting
+        mountings = blocks_needed(lambda n: chance(n * hits, n), power)
+        return None if mountings is None else SeriesSize(mountings, mountings * hits)
+    balls = plan.ball_handling.samples if plan.design.compare == "ball" else 0
+    limit = balls * plan.ball_handling.hits if balls else _MAX_BLOCKS
+    shots = blocks_needed(lambda n: chance(n, min(n, balls) if balls > 1 else n), power)
+    if shots is not None and shots <= limit:
+        return SeriesSize(min(shots, balls), shots)
+    hits = max(1, round(plan.design.blocks / balls)) if balls else 1
+    more = blocks_needed(lambda n: chance(n * hits, n), power) if balls > 1 else None
+    return None if more is None else SeriesSize(more, more * hits)
 
 
 def _scaled(known: PredictedPrecision, shots: int, units: int) -> tuple[float, float]:

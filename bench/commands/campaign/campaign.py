@@ -101,6 +101,7 @@ def check(
 
     Exits with 2 and lists all mistakes; with 1 if a calibration blocks arming.
     """
+    from bench.campaign.report.preview import preview_record, show_preview
     from bench.campaign.run.plan_requirements import (
         START_SERIES,
         arming_problems,
@@ -109,7 +110,6 @@ def check(
         needs_series,
         needs_words,
     )
-    from bench.campaign.statistics.preview import preview_record, show_preview
 
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
@@ -206,7 +206,8 @@ def run(
     Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
     143 after SIGTERM.
     """
-    from bench.campaign.run.runner_control import measured_balls, new_entry
+    from bench.calibration.archive import newest_aerodynamics
+    from bench.campaign.run.runner_control import new_entry
 
     plan, configuration, profiles = _checked(context, file)
     if expect not in ("", plan.digest):
@@ -218,7 +219,7 @@ def run(
         )
     outputs = _outputs(json_, junit, report_to, check_, units)
     with _store(configuration.bench) as store:
-        measured = measured_balls(plan, store, configuration.bench.id)
+        measured = newest_aerodynamics(store.database, configuration.bench.id, plan.ball_names)
         facts = {} if sim else _bench_facts(plan, configuration, measured, store)
         now = datetime.now(UTC)
         entry = new_entry(
@@ -354,8 +355,9 @@ def _take(
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
     from bench.campaign.plan.prompts import PromptKind
-    from bench.campaign.run.progress import CompositeWatcher, notifying
+    from bench.campaign.run.progress import notifying
     from bench.campaign.run.runner_control import run_campaign, run_start
+    from bench.campaign.run.shot_source import Watcher
     from bench.commands.campaign.campaign_runner_screen import CampaignScreen
     from bench.commands.campaign.campaign_screen import campaign_bar
     from bench.commands.campaign.campaign_terminal import TerminalOperator, mark_keys
@@ -369,10 +371,7 @@ def _take(
             notifying(file if entry.real_time else "", entry, screen.say) as notifier,
             mark_keys(bar, user_name(), lambda: screen.message, _marker(store, entry.id)) as keys,
         ):
-            watcher, operator = (
-                CompositeWatcher(screen, notifier),
-                TerminalOperator(bar, entry.id, asked_for, keys),
-            )
+            watcher, operator = Watcher(screen, notifier), TerminalOperator(bar, entry.id, asked_for, keys)
             return run_campaign(
                 entry, configuration, store, watcher, asked.is_made, operator, start, lambda: asked.cause
             )
@@ -684,7 +683,7 @@ def air(
 
     Shots on hardware use it from then on, for as long as the plan allows ([air] valid_for).
     """
-    from bench.store.air_readings import AirReading, add_reading, newest_reading
+    from bench.store.records import AirReading
     from sim.air import Air
 
     address = context.ensure_object(Session).address()
@@ -709,9 +708,10 @@ def air(
                     str(error),
                     "Correct the value of this reading.",
                 ) from None
-            reading = AirReading(datetime.now(UTC), read, by or user_name())
-            add_reading(store.database, bench, reading)
-        elif not (found := newest_reading(store.database, bench, datetime(1970, 1, 1, tzinfo=UTC))):
+            figures = read.temperature, read.pressure, read.relative_humidity
+            reading = AirReading(bench, datetime.now(UTC), *figures, by or user_name())
+            store.add_air(reading)
+        elif not (found := store.newest_air(bench, datetime(1970, 1, 1, tzinfo=UTC))):
             typer.echo("No reading of the air yet.")
             return
         else:

@@ -172,8 +172,8 @@ def _write(
         ExceptionGroup: BenchErrors, one for each mistake in it.
     """
     from bench.campaign.plan.plan_file import load_plan
+    from bench.campaign.report.preview import outlook
     from bench.campaign.run.plan_requirements import swings_of_other_clubs
-    from bench.campaign.statistics.preview import outlook
     from bench.swing.library import profiles_for
 
     def written() -> CampaignPlan:
@@ -220,8 +220,8 @@ def _plan_text(sections: Mapping[str, Mapping[str, Any]]) -> str:
 def _outlook(plan: CampaignPlan) -> list[str]:
     """Return shots, duration and resolution in words."""
     from bench.campaign.plan.shot_sequence import all_trials
+    from bench.campaign.report.preview import outlook_words
     from bench.campaign.run.plan_requirements import needs
-    from bench.campaign.statistics.preview import outlook_words
 
     shots = len(all_trials(plan))
     minutes = (shots * plan.design.seconds_per_shot + needs(plan).hand_work) / 60.0

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.run.corrections import Arm, Drift, Robot
+from bench.campaign.run.corrections import Arm, CampaignCorrections, Drift, Robot
 from bench.campaign.run.plan_requirements import Profiles
 from bench.campaign.run.simulated_shots import SimulatedShots
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 
 
-class AsDesigned:
+class AsDesigned(CampaignCorrections):
     """No corrections, and none learned on the way."""
 
     def __init__(self, profiles: Profiles) -> None:
         self._profiles = profiles
 
-    def designed(self, arm: Arm) -> Profile:
+    def profile(self, arm: Arm) -> Profile:
         """Return the profile of `arm`."""
         return self._profiles[arm]
-
-    profile = designed
 
     def weights(self, arm: Arm) -> tuple[float, ...]:
         """Return none."""

@@ -7,9 +7,10 @@ from math import inf, nan
 
 import pytest
 
+from bench.campaign.plan.plan import NAMES
 from bench.campaign.report.campaign_record import CampaignRecord
 from bench.campaign.report.campaign_report import render_campaign_report
-from bench.campaign.report.findings import QUANTITIES, QUANTITY_NAMES, findings
+from bench.campaign.report.findings import QUANTITIES, findings
 from bench.campaign.report.report_format import BALL, CLUB, UnitSystem, display_unit, number_text, two_digits
 from tests.bench.campaign.report.test_campaign_report import _record, _words
 from tests.benchmarks.campaign_statistics import Truth
@@ -56,7 +57,7 @@ def test_campaign_report_us_units_convert_verdict(record: CampaignRecord) -> Non
 
 
 def test_display_unit_every_quantity_has_consistent_units() -> None:
-    columns = {*QUANTITIES, *QUANTITY_NAMES, *(quantity.column for quantity in (*CLUB, *BALL))}
+    columns = {*NAMES, *QUANTITIES, *CLUB, *BALL}
     for column in columns:
         si, us = (display_unit(column, units) for units in UnitSystem)
         assert (si.unit == us.unit) == (si.size == us.size)

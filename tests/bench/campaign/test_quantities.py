@@ -9,7 +9,8 @@ import pytest
 
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.findings import QUANTITIES, level_quantities
-from bench.campaign.statistics.analysis import spread, values_of
+from bench.campaign.statistics.analysis import values_of
+from bench.campaign.statistics.block_model import spread
 from bench.config import load_configuration
 from bench.records.shot.shot import ShotStatus
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots

@@ -26,6 +26,7 @@ from bench.store import database
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import SHOTS, DatabaseLocked, open_database
 from bench.store.records import (
+    AirReading,
     CampaignEntry,
     CampaignState,
     Event,
@@ -448,3 +449,30 @@ def open_later(url: Any) -> Iterator[CampaignStore]:
 def test_shots_table_has_every_export_column() -> None:
     columns = set(SHOTS.columns.keys())
     assert columns == {*COLUMNS} | {"campaign", "file", "bytes", "set_aside"}
+
+
+HOUR = timedelta(hours=1)
+COLD = AirReading("bench1", NOW, 285.0, 1.0e5, 0.4, "Ann")
+
+
+def test_newest_air_returns_last_added_until_expiry(tmp_path: Path) -> None:
+    warm = AirReading("bench1", NOW + HOUR, 295.0, 1.01e5, 0.5, "station 3")
+    with open_database(database_url("", tmp_path)) as engine:
+        store = CampaignStore(engine)
+        assert store.newest_air("bench1", NOW) is None
+        store.add_air(COLD)
+        store.add_air(warm)
+        assert store.newest_air("bench1", NOW) == warm
+        assert store.newest_air("bench1", NOW + HOUR) == warm
+        assert store.newest_air("bench1", NOW + 2 * HOUR) is None
+        assert store.newest_air("bench2", NOW) is None
+
+
+def test_newest_air_clock_set_back_returns_last_added(tmp_path: Path) -> None:
+    after = COLD._replace(date=NOW - HOUR)
+    with open_database(database_url("", tmp_path)) as engine:
+        store = CampaignStore(engine)
+        store.add_air(COLD)
+        store.add_air(after)
+        assert store.newest_air("bench1", NOW - 2 * HOUR) == after
+        assert store.newest_air("bench1", NOW) == COLD

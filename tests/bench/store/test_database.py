@@ -19,10 +19,10 @@ from bench.base.errors import BenchError, ExitCode
 from bench.config import database_url
 from bench.store import database as module
 from bench.store.database import (
+    CALIBRATIONS,
+    METADATA,
+    SCHEMA,
     SCHEMA_VERSION,
-    CalibrationRow,
-    Row,
-    SchemaVersionRow,
     is_there,
     open_database,
     transaction,
@@ -64,13 +64,13 @@ def test_open_database_second_open_keeps_schema_version(tmp_path: Path) -> None:
     url = database_url("", tmp_path)
     for _ in range(2):
         with open_database(url, NOW) as database, database.connect() as connection:
-            found = connection.execute(select(SchemaVersionRow.version, SchemaVersionRow.date)).all()
+            found = connection.execute(select(SCHEMA.c.version, SCHEMA.c.date)).all()
             assert [tuple(row) for row in found] == [(SCHEMA_VERSION, NOW)]
 
 
 def _open_and_add(folder: Path, number: int) -> None:
     with open_database(database_url("", folder), NOW) as database, database.begin() as connection:
-        connection.execute(insert(CalibrationRow).values(ROW | {"version": number}))
+        connection.execute(insert(CALIBRATIONS).values(ROW | {"version": number}))
 
 
 @pytest.mark.live
@@ -84,14 +84,14 @@ def test_open_database_concurrent_first_open_keeps_every_row(tmp_path: Path) -> 
         assert process.exitcode == 0
         process.close()
     with open_database(database_url("", tmp_path), NOW) as database, database.connect() as connection:
-        assert sorted(connection.scalars(select(CalibrationRow.version))) == [0, 1, 2]
+        assert sorted(connection.scalars(select(CALIBRATIONS.c.version))) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("version", [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1, -1])
 def test_open_database_other_schema_version_is_refused_unchanged(tmp_path: Path, version: int) -> None:
     url = database_url("", tmp_path)
     with open_database(url, NOW) as database, database.begin() as connection:
-        connection.execute(SchemaVersionRow.__table__.update().values(version=version))  # type: ignore[attr-defined]
+        connection.execute(SCHEMA.update().values(version=version))
     with pytest.raises(BenchError) as refusal, open_database(url, NOW):
         pass
     assert str(version) in refusal.value.found
@@ -133,14 +133,14 @@ def test_open_database_locked_raises_after_busy_timeout(
             open_database(url, NOW) as database,
             database.begin() as connection,
         ):
-            connection.execute(insert(CalibrationRow).values(ROW))
+            connection.execute(insert(CALIBRATIONS).values(ROW))
 
 
 @pytest.mark.parametrize("statement", ["UPDATE calibrations SET note = 'better'", "DELETE FROM calibrations"])
 def test_calibration_table_update_or_delete_is_refused(tmp_path: Path, statement: str) -> None:
     with open_database(database_url("", tmp_path), NOW) as database:
         with database.begin() as connection:
-            connection.execute(insert(CalibrationRow).values(ROW))
+            connection.execute(insert(CALIBRATIONS).values(ROW))
         with pytest.raises(IntegrityError, match="only added"), database.begin() as connection:
             connection.execute(text(statement))
 
@@ -149,14 +149,14 @@ def test_calibration_table_duplicate_version_is_refused(tmp_path: Path) -> None:
     with open_database(database_url("", tmp_path), NOW) as database:
         for already_there in (False, True):
             with pytest.raises(IntegrityError) if already_there else nullcontext(), database.begin() as one:
-                one.execute(insert(CalibrationRow).values(ROW))
+                one.execute(insert(CALIBRATIONS).values(ROW))
 
 
 @pytest.fixture
 def archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder with a closed database of one calibration, in which nothing may be written."""
     with open_database(database_url("", tmp_path), NOW) as database, database.begin() as connection:
-        connection.execute(insert(CalibrationRow).values(ROW))
+        connection.execute(insert(CALIBRATIONS).values(ROW))
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
     return tmp_path
 
@@ -164,7 +164,7 @@ def archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_read_only_database_read_writes_no_file(archive: Path) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in archive.iterdir()}
     with open_database(database_url("", archive), NOW) as database, database.connect() as connection:
-        assert connection.scalar(select(CalibrationRow.by)) == "me"
+        assert connection.scalar(select(CALIBRATIONS.c.by)) == "me"
         assert {path.name: path.stat().st_mtime_ns for path in archive.iterdir()} == before
 
 
@@ -174,12 +174,12 @@ def test_read_only_database_write_is_refused(archive: Path) -> None:
         open_database(database_url("", archive), NOW) as database,
         transaction(database, writes=True) as connection,
     ):
-        connection.execute(insert(CalibrationRow).values(ROW | {"version": 2}))
+        connection.execute(insert(CALIBRATIONS).values(ROW | {"version": 2}))
 
 
 def test_read_only_database_reads_changes_from_wal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_database(database_url("", tmp_path), NOW) as database, database.begin() as connection:
-        connection.execute(insert(CalibrationRow).values(ROW))
+        connection.execute(insert(CALIBRATIONS).values(ROW))
         connection.commit()
         copy = tmp_path / "copy"
         copy.mkdir()
@@ -187,27 +187,27 @@ def test_read_only_database_reads_changes_from_wal(tmp_path: Path, monkeypatch: 
             shutil.copy(file, copy)
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
     with open_database(database_url("", copy), NOW) as database, database.connect() as connection:
-        assert connection.scalar(select(CalibrationRow.by)) == "me"
+        assert connection.scalar(select(CALIBRATIONS.c.by)) == "me"
 
 
 def test_database_time_returns_in_utc_and_naive_is_refused(tmp_path: Path) -> None:
     summer = timezone(timedelta(hours=2))
     with open_database(database_url("", tmp_path), NOW) as database:
         with database.begin() as connection:
-            connection.execute(insert(CalibrationRow).values(ROW | {"date": NOW.astimezone(summer)}))
+            connection.execute(insert(CALIBRATIONS).values(ROW | {"date": NOW.astimezone(summer)}))
         with database.connect() as connection:
-            found = connection.scalar(select(CalibrationRow.date))
+            found = connection.scalar(select(CALIBRATIONS.c.date))
         assert found == NOW
         assert found.utcoffset() == timedelta(0)
         naive = ROW | {"version": 2, "date": NOW.replace(tzinfo=None)}
         with pytest.raises(StatementError, match="without a zone"), database.begin() as connection:
-            connection.execute(insert(CalibrationRow).values(naive))
+            connection.execute(insert(CALIBRATIONS).values(naive))
 
 
 @pytest.mark.parametrize("url", ["", "sqlite:///{}/other.sqlite"])
 def test_open_database_by_url_creates_every_table(tmp_path: Path, url: str) -> None:
     with open_database(database_url(url.format(tmp_path), tmp_path), NOW) as database:
-        assert set(Row.metadata.tables) <= set(_tables(database))
+        assert set(METADATA.tables) <= set(_tables(database))
 
 
 def _tables(database: Any) -> list[str]:

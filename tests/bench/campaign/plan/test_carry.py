@@ -15,7 +15,7 @@ import pytest
 
 from bench.base.errors import BenchError, Refused
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics
-from bench.campaign.plan.carry import ShotCarry, measured_of, require_carry
+from bench.campaign.plan.carry import carry_columns, measured_of, require_carry
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.campaign_record import CampaignRecord
@@ -56,7 +56,7 @@ def _entry(ball: str = "a", values: BallAerodynamics = VALUES) -> AerodynamicsEn
 
 def _carry(plan: CampaignPlan, ball: str, told: float | None = 190.0, **measured: Any) -> dict[str, Any]:
     """Return the columns of a shot on hardware."""
-    return ShotCarry(plan, measured).columns(ball, LAUNCH, AROUND, told, None)[0]
+    return carry_columns(plan, measured, ball, LAUNCH, AROUND, told, None)[0]
 
 
 def test_shot_carry_reference_is_equal_for_all_balls(configuration: Configuration) -> None:
@@ -114,15 +114,15 @@ def test_shot_carry_compares_selected_source_and_keeps_all(configuration: Config
 def test_shot_carry_unknown_carry_reports_reason(
     configuration: Configuration, carry: str, launch: Launch, told: float | None, reason: str
 ) -> None:
-    columns, doubt = ShotCarry(_ten(configuration, carry), {"a": _entry()}).columns(
-        "a", launch, AROUND, told, None
+    columns, doubt = carry_columns(
+        _ten(configuration, carry), {"a": _entry()}, "a", launch, AROUND, told, None
     )
     assert reason in doubt
     assert columns.get("carry_m") is None
     speed = _ten(configuration, carry)
     speed = replace(speed, analysis=replace(speed.analysis, quantity="ball_speed_mps"))
     if carry != "reference":
-        assert ShotCarry(speed, {"a": _entry()}).columns("a", launch, AROUND, told, None)[1] == ""
+        assert carry_columns(speed, {"a": _entry()}, "a", launch, AROUND, told, None)[1] == ""
 
 
 def test_shot_carry_simulated_ball_uses_simulated_flight(
@@ -130,11 +130,11 @@ def test_shot_carry_simulated_ball_uses_simulated_flight(
 ) -> None:
     ball = Ball("a", drag_factor=0.9)
     for carry, source in (("", "simulated"), ("measured", "simulated"), ("reference", "reference")):
-        found, _ = ShotCarry(_ten(configuration, carry), {}).columns("a", LAUNCH, AROUND, 190.0, ball)
+        found, _ = carry_columns(_ten(configuration, carry), {}, "a", LAUNCH, AROUND, 190.0, ball)
         assert (found["carry_source"], found["flight_source"]) == (source, source)
-    own, _ = ShotCarry(_ten(configuration, ""), {}).columns("a", LAUNCH, AROUND, 190.0, ball)
+    own, _ = carry_columns(_ten(configuration, ""), {}, "a", LAUNCH, AROUND, 190.0, ball)
     assert own["carry_m"] == fly(LAUNCH, AROUND.air, ball, AROUND.wind, AROUND.turf).carry
-    monitor, _ = ShotCarry(_ten(configuration, "monitor"), {}).columns("a", LAUNCH, AROUND, 190.0, ball)
+    monitor, _ = carry_columns(_ten(configuration, "monitor"), {}, "a", LAUNCH, AROUND, 190.0, ball)
     assert (monitor["carry_m"], monitor["carry_source"], monitor["flight_source"]) == (
         190.0,
         "monitor",
@@ -202,10 +202,10 @@ def test_campaign_report_hardware_omits_simulation_parameters(
     assert "0.80 to 0.80 m" in hardware
 
 
-def test_carry_words_model_source_disclaims_real_ball(configuration: Configuration) -> None:
+def test_carry_words_explain_source(configuration: Configuration) -> None:
     plan = _ten(configuration, "")
-    shots = [replace(shot, carry_source="model") for shot in campaign_shots(plan, Truth(), 1)[:40]]
-    assert "it says nothing of a real ball" in carry_words(shots)
+    shots = [replace(shot, carry_source="reference") for shot in campaign_shots(plan, Truth(), 1)[:40]]
+    assert "it compares launches, not flights" in carry_words(shots)
     assert carry_words([]) == ""
 
 

@@ -32,11 +32,12 @@ from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.prompts import PromptKind, balls_of, places, require_count
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
+from bench.campaign.report.preview import preview_record, show_preview
 from bench.campaign.run.campaign_control import answer
 from bench.campaign.run.plan_requirements import require_swings
-from bench.campaign.run.runner import Runner, RunOutcome, Watcher
+from bench.campaign.run.runner import Runner, RunOutcome
 from bench.campaign.run.runner_control import course_of, new_entry
-from bench.campaign.statistics.preview import preview_record, show_preview
+from bench.campaign.run.shot_source import Watcher
 from bench.commands.campaign.campaign_screen import CampaignBar
 from bench.commands.campaign.campaign_terminal import TerminalOperator
 from bench.config import database_url, load_configuration

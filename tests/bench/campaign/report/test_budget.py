@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.campaign.plan.plan import CampaignPlan, StatedCalibration, stated_uncertainty
+from bench.campaign.plan.plan import CampaignPlan, StatedCalibration, stated_uncertainties
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.budget import UncertaintyBudget, flight_slopes, uncertainty_budgets
 from bench.config import load_configuration
@@ -152,12 +152,12 @@ def test_uncertainty_budgets_only_hardware_names_missing_calibration() -> None:
 
 def test_stated_uncertainty_uses_rule_or_calibrations() -> None:
     plan = _plan(MONITOR)
-    assert stated_uncertainty(plan, "carry_m") == pytest.approx(0.7)
-    assert stated_uncertainty(plan, "total_m") is None
+    assert hypot(*(one.uncertainty for one in stated_uncertainties(plan, "carry_m"))) == pytest.approx(0.7)
+    assert stated_uncertainties(plan, "total_m") == []
     stated = replace(plan, rules=replace(plan.rules, uncertainty={"carry_m": 2.5}))
-    assert stated_uncertainty(stated, "carry_m") == 2.5
+    assert [one.uncertainty for one in stated_uncertainties(stated, "carry_m")] == [2.5]
     two = _plan(MONITOR, replace(MONITOR, uncertainty={"carry_m": 2.4}))
-    assert stated_uncertainty(two, "carry_m") == pytest.approx(2.5)
+    assert hypot(*(one.uncertainty for one in stated_uncertainties(two, "carry_m"))) == pytest.approx(2.5)
 
 
 def test_uncertainty_budgets_expanded_uncertainty_covers_truth() -> None:

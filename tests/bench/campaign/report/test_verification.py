@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError
-from bench.campaign.report.campaign_record import CampaignRecord, shot_digests, whole_digest
-from bench.campaign.report.campaign_report import record_parts, render_campaign_report
+from bench.campaign.report.campaign_record import CampaignRecord, record_digests
+from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.report.verification import missing_records, verify_page
@@ -44,7 +44,7 @@ def test_verify_page_unchanged_report_has_no_differences(record: CampaignRecord,
     assert found.differences == ()
     assert found.figures > 200
     assert found.page
-    assert found.digest == whole_digest(record_parts(record, shot_digests(record.shots)))
+    assert found.digest == record_digests(record).whole
     assert page.count(found.digest) == 2
 
 
@@ -76,7 +76,7 @@ def test_verify_page_changed_figures_and_digest_are_named(record: CampaignRecord
     assert mean is not None
     found = _differences(record, page.replace(mean[0], '"mean":170.5'))
     assert any("170.5 in the report" in line for line in found)
-    digest = whole_digest(record_parts(record, shot_digests(record.shots)))
+    digest = record_digests(record).whole
     assert any(line.startswith("digest") for line in _differences(record, page.replace(digest, "0" * 64)))
     assert any(line.startswith("digest") for line in _differences(record, page.replace(digest, "0" * 64, 1)))
 

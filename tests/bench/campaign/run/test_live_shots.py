@@ -34,8 +34,8 @@ from bench.campaign.run.campaign_control import ask
 from bench.campaign.run.corrections import Drift
 from bench.campaign.run.live_shots import LiveShots, require_live
 from bench.campaign.run.plan_requirements import Profiles, require_swings
-from bench.campaign.run.runner import BlockingCondition, Suspended, Watcher
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
+from bench.campaign.run.shot_source import BlockingCondition, Suspended, Watcher
 from bench.config import database_url, load_configuration
 from bench.learning.store import learned_swings
 from bench.network.bench_service import ArmingBlock, CommandAnswer

@@ -13,7 +13,7 @@ import pytest
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import PlannedShot, all_trials
-from bench.campaign.run.progress import CampaignProgress, ProgressPublisher
+from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar, progress_lines, shot_line
 from bench.config import load_configuration
@@ -132,18 +132,21 @@ def test_progress_screen_piped_prints_plain_lines(
     assert "left, until " in told[0]
 
 
-def test_progress_publisher_sends_json_with_each_change(plan: CampaignPlan) -> None:
+def test_progress_sends_json_with_each_change(plan: CampaignPlan) -> None:
     sent: list[str] = []
     entry = new_entry(plan, CONFIGURATION, NOW, simulated=True, real_time={"driver": "sim"})
-    told = ProgressPublisher(entry, plan, lambda message: sent.append(json.dumps(message)))
+    told = CampaignProgress(entry, plan, lambda message: sent.append(json.dumps(message)))
     told.shot(_shot(all_trials(plan)[0], 1, 0.0))
+    assert not sent, "shots of earlier runs are not sent"
+    told.standing(CampaignState.RUNNING, "")
+    told.shot(_shot(all_trials(plan)[1], 2, 10.0))
     told.say("a word")
     told.standing(CampaignState.PAUSED, "paused by request of ann")
     last = json.loads(sent[-1])
-    assert len(sent) == 3
+    assert len(sent) == 4
     assert (last["state"], last["event"]["text"]) == ("paused", "a word")
     assert last["next_work"] is None, "a simulated bench does it automatically"
-    assert shot_line(last["last_shot"]).startswith("shot 1, tour 3, valid")
+    assert shot_line(last["last_shot"]).startswith("shot 2, ")
 
 
 def test_shot_line_unmeasured_shot_shows_not_measured(plan: CampaignPlan) -> None:

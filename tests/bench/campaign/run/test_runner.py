@@ -22,16 +22,15 @@ from sqlalchemy import make_url
 
 from bench.base.errors import BenchError, Refused
 from bench.campaign.interruptions import RunStart, changed
-from bench.campaign.plan.bench_setup import Preparation, sample_for
+from bench.campaign.plan.bench_setup import sample_for
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
-from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.campaign.run.campaign_control import ask, is_running, runner_lock
 from bench.campaign.run.corrections import Drift
 from bench.campaign.run.plan_requirements import require_swings
-from bench.campaign.run.runner import BlockingCondition, Runner, RunOutcome, ShotPostponed, Watcher
+from bench.campaign.run.runner import Runner, RunOutcome
 from bench.campaign.run.runner_control import (
     CANNOT_CHANGE_A_SHOT,
     course_of,
@@ -39,7 +38,7 @@ from bench.campaign.run.runner_control import (
     require_resumable,
     run_start,
 )
-from bench.campaign.run.simulated_shots import Taken
+from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Taken, Watcher
 from bench.config import Configuration, database_url, load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.telemetry.atomic_file import NotStored
@@ -56,7 +55,7 @@ from tests.sampling import release_except
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 
 
-class Scripted:
+class Scripted(ShotSource):
     """Shots without a robot; `script` gives columns of single shots by number, or raises."""
 
     simulated = True
@@ -70,21 +69,6 @@ class Scripted:
 
     def relearn(self, drift: Drift, number: int) -> str:
         return f"learned {drift.arm} before {number}"
-
-    def hindrance(self, step: Step) -> BlockingCondition | None:
-        return None
-
-    def rest(self) -> None:
-        pass
-
-    def required_restart(self, step: Step) -> Preparation | None:
-        return None
-
-    def grant_access(self, kind: PromptKind) -> None:
-        pass
-
-    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
-        pass
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
         self.taken.append((number, step, sample))

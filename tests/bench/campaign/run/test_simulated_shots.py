@@ -14,7 +14,8 @@ from bench.campaign.plan.plan import CampaignPlan, Simulation
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Step, all_trials
 from bench.campaign.run.plan_requirements import require_swings
-from bench.campaign.run.simulated_shots import MonitorResult, SimulatedShots, Taken, hear
+from bench.campaign.run.shot_source import Taken
+from bench.campaign.run.simulated_shots import MonitorResult, SimulatedShots, hear
 from bench.config import Configuration
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import UNREPORTED
@@ -86,7 +87,7 @@ def test_simulated_shots_planned_faults_set_status_and_reason(
 def test_simulated_shots_monitor_faults_exclude_shot(
     plan: CampaignPlan, configuration: Configuration
 ) -> None:
-    faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=(), monitor_disconnected=(6,))
+    faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=())
     source = SimulatedShots(
         replace(plan, simulation=faulty),
         configuration,
@@ -98,7 +99,6 @@ def test_simulated_shots_monitor_faults_exclude_shot(
     assert misread.shot.reason
     assert misread.shot.ball_speed_mps is not None  # kept, and not counted
     assert (misread.shot.carry_m, misread.shot.launch_source) == (None, "simulated")
-    assert [kind for kind, _ in misread.events if kind == "suspended"] == ["suspended"]
     source._monitor = replace(source._monitor, misread=0.0, double=1.0)
     assert "2 different launches" in _take(source, plan, 7).shot.reason
     source._monitor = replace(source._monitor, double=0.0)
@@ -115,7 +115,7 @@ def test_simulated_shots_club_loft_changes_dynamic_loft(source: SimulatedShots, 
 
 
 def test_simulated_shots_feeder_faults_set_outcome(plan: CampaignPlan, configuration: Configuration) -> None:
-    s = replace(plan.simulation, missed_ball=(), feeder_empty=(2,), wrong_ball=(3,))
+    s = replace(plan.simulation, missed_ball=(), feeder_jam=(2,), wrong_ball=(3,))
 
     def take(number: int, simulation: Simulation, *, identify: bool) -> Taken:
         handling = replace(plan.ball_handling, identify=identify)
@@ -123,8 +123,8 @@ def test_simulated_shots_feeder_faults_set_outcome(plan: CampaignPlan, configura
         profiles = require_swings(changed, configuration)
         return _take(SimulatedShots(changed, configuration, AsDesigned(profiles), never), changed, number)
 
-    empty = take(2, s, identify=False)
-    assert (empty.shot.reason, empty.cycles) == ("feeder empty: no ball came", None)
+    jam = take(2, s, identify=False)
+    assert (jam.shot.reason, jam.cycles) == ("feeder jam: no ball came", None)
     noticed = take(3, s, identify=True)
     assert noticed.shot.reason == "feeder: ball tour 2 came, tour 1 was to come"
     assert not noticed.struck

@@ -15,8 +15,8 @@ from statsmodels.stats.multitest import multipletests
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.findings import findings, findings_record
-from bench.campaign.statistics.analysis import analyse, decide, interim_analysis, spread
-from bench.campaign.statistics.block_model import fit_blocks, holm, repeatability, variance_components
+from bench.campaign.statistics.analysis import analyse, decide, interim_analysis
+from bench.campaign.statistics.block_model import fit_blocks, holm, repeatability, spread, variance_components
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from tests.bench.campaign.known_truth import Case, cases, rows_of

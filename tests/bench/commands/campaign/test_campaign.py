@@ -24,9 +24,9 @@ from bench.campaign.plan.shot_sequence import all_trials
 from bench.campaign.report.campaign_record import load_record
 from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
-from bench.campaign.run.campaign_control import bench_lock, find_campaign, require_free, runner_lock
-from bench.campaign.run.runner import Watcher
+from bench.campaign.run.campaign_control import bench_lock, find_campaign, runner_lock
 from bench.campaign.run.runner_control import new_entry, run_campaign
+from bench.campaign.run.shot_source import Watcher
 from bench.campaign.run.simulated_shots import BEGIN
 from bench.commands.cli import app, main
 from bench.config import database_url, load_configuration
@@ -341,9 +341,14 @@ def test_runner_lock_second_runner_is_refused(user: User, tmp_path: Path) -> Non
         ):
             pass
         assert "continues" in user("resume", "short")[1], "the runner continues, there is no second one"
-    with bench_lock(tmp_path / "data", entry), pytest.raises(Refused, match=f"runs campaign {entry.id}"):
-        require_free(tmp_path / "data", entry.bench)
-    require_free(tmp_path / "data", entry.bench)
+    with (
+        bench_lock(tmp_path / "data", entry.bench, entry.id),
+        pytest.raises(Refused, match=f"runs campaign {entry.id}"),
+        bench_lock(tmp_path / "data", entry.bench),
+    ):
+        pass
+    with bench_lock(tmp_path / "data", entry.bench):
+        pass
 
 
 @pytest.mark.parametrize("name", release_except({"two-balls", "repeatability"}, campaign_names()))

@@ -13,9 +13,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from bench.campaign.plan.bench_setup import LoadList, load_lists
-from bench.campaign.plan.plan import CampaignPlan, levels
+from bench.campaign.plan.plan import NAMES, CampaignPlan, levels
 from bench.campaign.plan.prompts import places
 from bench.campaign.plan.shot_sequence import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
+from bench.campaign.report.report_format import display_unit
 from bench.campaign.statistics.block_model import within_club
 from bench.campaign.statistics.sample_size import (
     SeriesSize,
@@ -25,28 +26,6 @@ from bench.campaign.statistics.sample_size import (
     series_needed,
 )
 from bench.store.records import Hit
-
-UNITS: Mapping[str, str] = {
-    "carry_m": "m",
-    "total_m": "m",
-    "ball_speed_mps": "m/s",
-    "club_speed_mps": "m/s",
-    "launch_angle": "°",
-    "landing_angle": "°",
-    "spin_rpm": "rpm",
-}
-"""Units of the quantities that can be compared."""
-
-COVARIATES: Mapping[str, str] = {
-    "club_speed_mps": "club speed",
-    "attack_angle_deg": "attack angle",
-    "club_path_deg": "club path",
-    "face_angle_deg": "face angle",
-    "dynamic_loft_deg": "dynamic loft",
-    "strike_x_mm": "strike heel to toe",
-    "strike_y_mm": "strike low to high",
-}
-"""Names of the covariates in sentences."""
 
 _SHOWN = 3
 """Number of blocks printed of each section without --all."""
@@ -233,7 +212,7 @@ def _word(plan: CampaignPlan, trial: PlannedShot) -> str:
 def outlook_words(plan: CampaignPlan) -> list[str]:
     """Return the resolution of the plan in words."""
     a, found = plan.analysis, outlook(plan)
-    unit = UNITS[a.quantity]
+    unit = display_unit(a.quantity).unit
     if not found.pairs:
         return ["One level only: it is described, nothing is compared."]
     if not a.expected_sd:
@@ -253,7 +232,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     ]
     if a.covariates:
         lines.append(
-            f"Corrected by {', '.join(COVARIATES[name] for name in a.covariates)}, expected to explain "
+            f"Corrected by {', '.join(NAMES[name] for name in a.covariates)}, expected to explain "
             f"{100 * a.expected_r_squared:.0f} % of a shot's variance; without it would take "
             f"{found.without or 'too many'} valid shots of each."
         )
