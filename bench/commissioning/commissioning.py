@@ -340,8 +340,10 @@ def _do(
     try:
         result = work()
     except MachineFault as error:
-        date = datetime.now(UTC).isoformat()
-        state.wrong = FaultRecord(step.name, date, error.location, error.found, error.expected, error.action)
+        failed = datetime.now(UTC).isoformat()
+        state.wrong = FaultRecord(
+            step.name, failed, error.location, error.found, error.expected, error.action
+        )
         state.save()
         raise
     named, date, seconds = (step.name, step.title, step.bounds_text), datetime.now(UTC), clock() - begun

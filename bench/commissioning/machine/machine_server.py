@@ -362,8 +362,9 @@ class MachineServer:
         if order != "arm":
             return getattr(self._machine, order)(*given)
         self._machine.make_passive()
+        (bench,) = given
         self._series = LiveSeries(
-            self._driver, self._configuration, *given, self._clock, stop=self._stop, say=self._say
+            self._driver, self._configuration, bench, self._clock, stop=self._stop, say=self._say
         )
         return None
 
