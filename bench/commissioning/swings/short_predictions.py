@@ -71,11 +71,9 @@ class RecordedSwing:
 
     def motion(self, raw_angle: Array, latency: float) -> tuple[Array, Array]:
         """Return angles and speeds (n, 3) rad, rad/s at the rows; encoders read `latency` (s) late."""
-        at = np.arange(len(raw_angle)) + latency / self.tick
-        smooth = np.asarray(savgol_filter(raw_angle, _SMOOTH, _ORDER, axis=0), dtype=float)
-        speed = np.asarray(
-            savgol_filter(raw_angle, _SMOOTH, _ORDER, deriv=1, delta=self.tick, axis=0), dtype=float
-        )
+        at = np.arange(len(raw_angle), dtype=np.float64) + latency / self.tick
+        smooth = savgol_filter(raw_angle, _SMOOTH, _ORDER, axis=0)
+        speed = savgol_filter(raw_angle, _SMOOTH, _ORDER, deriv=1, delta=self.tick, axis=0)
         return at_rows(smooth, at), at_rows(speed, at)
 
     def jump(self, joint: int) -> int:

@@ -222,7 +222,12 @@ def test_running_campaigns_read_changed_details_only(
 ) -> None:
     archive, read = CampaignArchive(configuration), list[str]()
     detail = archive.detail
-    monkeypatch.setattr(archive, "detail", lambda name: (read.append(name), detail(name))[1])
+
+    def noted(name: str) -> Any:
+        read.append(name)
+        return detail(name)
+
+    monkeypatch.setattr(archive, "detail", noted)
     running = RunningCampaigns(archive)
     message = {"campaign": OPEN, "shots": 1, "state": "running", "reason": ""}
     for _ in range(2):
