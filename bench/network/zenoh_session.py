@@ -204,7 +204,8 @@ _MESSAGES = (
 def access_control(viewers: Collection[str], operators: Collection[str]) -> dict[str, Any]:
     """Return zenoh's `access_control` for a bench; `viewers`, `operators`: common names of certificates.
 
-    A bench takes a router it connects to for an operator. That of the router is `router.json5`.
+    A bench takes a router it connects to for an operator; the router's own is in
+    bench/configurations/router.json5.
     """
     reads = _allow("reads", "ingress", "declare_subscriber", _ALL), _allow("hears", "egress", "put", _ALL)
     rules = [

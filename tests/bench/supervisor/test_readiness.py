@@ -312,8 +312,8 @@ def test_daemon_ball_off_profile_refuses_arming(start: Start, calibrate: Calibra
     daemon, link = start()
     reply = daemon.request(Request.ARM)
     assert (reply.accepted, link.asked) == (False, [])
-    assert [block["code"] for block in reply.blocks] == [Block.SWING]
-    assert "107.7 mm off" in reply.blocks[0]["found"]
+    assert [block["code"] for block in reply.content["arming_blocks"]] == [Block.SWING]
+    assert "107.7 mm off" in reply.content["arming_blocks"][0]["found"]
     assert daemon.request(Request.HOME).accepted
 
 
@@ -323,8 +323,11 @@ def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: 
     assert daemon.request(Request.ARM).accepted
     calibrate(MISSED)
     refused = daemon.request(Request.ARM)
-    assert [block["code"] for block in refused.blocks] == [Block.SWING, Block.CALIBRATION_NOT_LOADED]
-    assert "golfbench run" in refused.blocks[1]["action"]
+    assert [block["code"] for block in refused.content["arming_blocks"]] == [
+        Block.SWING,
+        Block.CALIBRATION_NOT_LOADED,
+    ]
+    assert "golfbench run" in refused.content["arming_blocks"][1]["action"]
     calibrate(MET, hours=-0.5)  # as the loop has it
     assert daemon.request(Request.ARM).accepted
     assert link.asked == [Request.ARM, Request.ARM]
@@ -333,7 +336,9 @@ def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: 
 def test_daemon_renewed_calibration_arms_without_restart(start: Start, calibrate: Calibrate) -> None:
     calibrate(MET, hours=-48.0, days=1.0)
     daemon, _ = start()
-    assert [b["code"] for b in daemon.request(Request.ARM).blocks] == [Block.CALIBRATION_EXPIRED]
+    assert [b["code"] for b in daemon.request(Request.ARM).content["arming_blocks"]] == [
+        Block.CALIBRATION_EXPIRED
+    ]
     calibrate(MET)
     assert daemon.request(Request.ARM).accepted
 
@@ -345,7 +350,10 @@ def test_daemon_unreadable_calibrations_block_arming(
     daemon, _ = start()
     (configuration.bench.data_dir / "golfbench.sqlite").write_bytes(b"not a database" * 100)
     reply = daemon.request(Request.ARM)
-    assert (reply.accepted, [block["code"] for block in reply.blocks]) == (False, [Block.UNREADABLE])
+    assert (reply.accepted, [block["code"] for block in reply.content["arming_blocks"]]) == (
+        False,
+        [Block.UNREADABLE],
+    )
 
 
 def blocked_status() -> Any:
