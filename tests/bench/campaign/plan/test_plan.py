@@ -289,7 +289,8 @@ def test_rule_sets_are_dated_and_sourced() -> None:
         assert rule.begins < rule.ends
         assert rule.source
         assert rule.confidence in {"A", "B", "C"}
-    assert rule_sets()["ods-2004"].at_most == pytest.approx(320 * 0.9144)
+    standard = rule_sets()["ods-2004"]
+    assert (standard.at_most, standard.unit, standard.scale) == (320.0, "yd", 0.9144)
     # At e = 0.77 and 450 us, by hand: 180.13 + 95.258 - 19.391 = 255.998 ft/s.
     assert control_ball_speed(0.77, 450e-6) == pytest.approx(255.998 * 0.3048, rel=1e-5)
 
