@@ -71,7 +71,7 @@ def test_parse_command_correct_returns_profile_and_weights() -> None:
     )
     most = correct(weights=[-1.2345678901234567] * MAX_WEIGHTS)
     assert len(most) <= MAX_COMMAND_BYTES
-    assert len(parse_command("correct", most).weights) == MAX_WEIGHTS  # type: ignore[union-attr]
+    assert len(parse_command("correct", most).weights) == MAX_WEIGHTS
 
 
 @pytest.mark.parametrize(
