@@ -20,8 +20,7 @@ from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range
 from drivers.base.records import COMMAND, READINGS
 from sim.plant import EXHAUSTS, OPEN, RELIEFS, SHUT, Plant
-from sim.random_stream import uniform
-from sim.sensors import sense
+from sim.sensors import sense, uniform
 
 Kind = Literal[
     "off",

@@ -3,7 +3,7 @@
 Golf frame: X along the target line, Y up, Z to the right of it. Equations (Smits and Smith 1994):
     dv/dt = (rho A / 2 m) V [-Cd v + Cl (s x v)] - g,   d omega/dt = -2e-5 omega V / r,
 v relative to the air, V = |v|, s the spin's axis, which keeps its direction. Coefficients come from a
-published model (`sim.aerodynamics`), air from `sim.air`, bounce and roll from `sim.turf`.
+published model (`sim.aerodynamics`), air from `sim.aerodynamics`, bounce and roll from `sim.ground`.
 RK4 with a fixed step; apex and landing are found inside their step, so that they too converge.
 """
 
@@ -18,10 +18,9 @@ import numpy as np
 from drivers.base import Launch
 from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range, check_ranges
-from sim.aerodynamics import SPIN_DECAY, Aerodynamics, coefficients
-from sim.air import Air
+from sim.aerodynamics import SPIN_DECAY, Aerodynamics, Air, coefficients
 from sim.ball import Ball
-from sim.turf import Turf, bounce, roll
+from sim.ground import Turf, bounce, roll
 from sim.vectors import Vector, added, norm, unit
 
 __all__ = ["FLIGHT", "Aerodynamics", "Air", "Ball", "Flight", "Launch", "Turf", "Wind", "fly", "fly_many"]

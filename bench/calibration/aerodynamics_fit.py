@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 
 from bench.calibration.ball_aerodynamics import BallAerodynamics
 from drivers.base import Launch
-from sim.air import Air
+from sim.aerodynamics import Air
 from sim.ball import Ball
 from sim.flight import Aerodynamics, Wind, fly, fly_many
 

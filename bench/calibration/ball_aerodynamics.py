@@ -15,10 +15,10 @@ from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, as_tree
 from drivers.base import Launch
 from drivers.base.ranges import Range
-from sim.air import Air
+from sim.aerodynamics import Air
 from sim.ball import Ball
 from sim.flight import Aerodynamics, Wind, fly_many
-from sim.turf import Turf
+from sim.ground import Turf
 
 BEYOND = 0.05
 """Share of speed and spin by which a launch may lie outside the measured range."""

@@ -32,7 +32,7 @@ from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import SHOT_VERSION, ShotPublication
 from bench.records.telemetry.cycle_record import FIELDS, MAX_BATCH_CYCLES, SCHEMA_VERSION, unit_of
 from bench.records.telemetry.enumerations import ENUMERATIONS
-from drivers.launch_monitor.matching import MatchOutcome
+from drivers.launch_monitor.record import MatchOutcome
 
 LOOP_VERSION = 1
 """Version of `LoopMessage`."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from sqlalchemy import Engine, insert, select
 
 from bench.store.database import AirReadingRow, Row
-from sim.air import Air
+from sim.aerodynamics import Air
 
 _READINGS = Row.metadata.tables[AirReadingRow.__tablename__]
 

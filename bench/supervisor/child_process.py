@@ -21,8 +21,8 @@ import numpy as np
 from bench.base.errors import BenchError, ExitCode
 from bench.base.interrupt import HANGUP
 from drivers.base import DriverError
-from drivers.base.compile_report import announce_compilation
-from drivers.base.shared_record import SharedMemoryError, SharedRecord
+from drivers.base.compiled import announce_compilation
+from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 
 FOR_PARENT = (signal.SIGINT, signal.SIGABRT, *HANGUP)
 """Signals sent to the whole process group and handled by the parent: SIGINT from a terminal or systemd's

@@ -43,7 +43,7 @@ from bench.supervisor.child_process import (
 )
 from bench.supervisor.plan import LaunchMonitorPlan
 from drivers.base import DriverError
-from drivers.base.shared_record import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient
 from drivers.launch_monitor.server import LaunchMonitorServer
 

@@ -11,10 +11,10 @@ from bench.records.telemetry.encoder_preset import CalibratedShifts
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
 from drivers.launch_monitor.settings import LaunchMonitorSettings
-from sim.air import Air
+from sim.aerodynamics import Air
 from sim.flight import Wind
+from sim.ground import Turf
 from sim.plant import PlantParameters
-from sim.turf import Turf
 
 RING_FILE, TIMING_FILE, SNAPSHOT_FILE = "ring", "timing", "snapshot"
 """Names of the files written by the loop in the bench's folder."""

@@ -13,9 +13,8 @@ import pytest
 
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import add_doubts
-from drivers.launch_monitor.matching import MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.open_connect import read_message
-from drivers.launch_monitor.record import LaunchRecord
+from drivers.launch_monitor.record import LaunchRecord, MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings
 from sim.launch_monitor import (

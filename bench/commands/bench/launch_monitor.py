@@ -130,9 +130,9 @@ def play(
         NoPlant: the plant there is of other code.
     """
     from drivers.base import Launch
-    from drivers.base.shared_record import SharedMemoryError
+    from drivers.base.shared_memory import SharedMemoryError
     from sim.launch_monitor import ClubMotion, SimulatedMonitor
-    from sim.live.contact_monitor import ContactMonitor, warm_up
+    from sim.live.exchange import ContactMonitor, warm_up
 
     warm_up()
     _carry(Launch(60.0, 0.2, 0.0, 250.0, 0.0), folder, plant, around)
@@ -172,9 +172,9 @@ def play(
 
 def _carry(launch: Launch, folder: Path, plant: PlantParameters, around: FlightConditions) -> float | None:
     """Return the carry of the ball on the plant's tee with `launch`, None if it does not fly."""
-    from drivers.base.shared_record import SharedMemoryError
+    from drivers.base.shared_memory import SharedMemoryError
     from sim.flight import fly
-    from sim.live.surroundings import chosen_ball
+    from sim.live.exchange import chosen_ball
 
     try:
         ball = chosen_ball(folder) or plant.ball

@@ -685,7 +685,7 @@ def air(
     Shots on hardware use it from then on, for as long as the plan allows ([air] valid_for).
     """
     from bench.store.air_readings import AirReading, add_reading, newest_reading
-    from sim.air import Air
+    from sim.aerodynamics import Air
 
     address = context.ensure_object(Session).address()
     bench = address.bench.id

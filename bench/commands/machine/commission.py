@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from bench.commissioning.steps.inputs_check import WatchedMachine
     from bench.config import Configuration
     from bench.control.settings import EnvelopeSettings
-    from sim.live.contact_monitor import ContactMonitor
+    from sim.live.exchange import ContactMonitor
     from sim.plant import PlantParameters
 
 Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step.")]
@@ -254,7 +254,7 @@ def _live(
     from bench.commissioning.machine.inputs import in_simulation
     from bench.commissioning.machine.live_robot import OperatorIO, live_robot
     from bench.supervisor.ownership import take_bench
-    from sim.live.contact_monitor import ContactMonitor
+    from sim.live.exchange import ContactMonitor
 
     def say(text: str) -> None:
         bar.console.print(text, highlight=False)

@@ -32,7 +32,7 @@ from bench.supervisor.loop_process import configured_driver
 from bench.supervisor.ownership import adopt
 from bench.supervisor.real_time import real_time
 from drivers.base import DriverError
-from drivers.base.shared_record import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 from drivers.canopen.frames import MAX_LOAD, bus_load
 
 _PRESSURE_TICKS = 2

@@ -8,7 +8,7 @@ from pathlib import Path
 from bench.config import database_url
 from bench.store.air_readings import AirReading, add_reading, newest_reading
 from bench.store.database import open_database
-from sim.air import Air
+from sim.aerodynamics import Air
 
 NOON = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 HOUR = timedelta(hours=1)
