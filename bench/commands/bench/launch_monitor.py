@@ -47,8 +47,6 @@ Ghost = Annotated[float, _share("balls followed by a ghost ball")]
 Club = Annotated[bool, flag("--club", "Also send club speed and attack angle.")]
 Noise = Annotated[float, option("Noise relative to the default; 0: none.", "FACTOR", low=0.0, high=10.0)]
 Delay = Annotated[float, option("Delay from impact to message.", "S", low=0.0, high=30.0)]
-Pieces = Annotated[bool, flag("--pieces", "Send messages in pieces.")]
-TextNumbers = Annotated[bool, flag("--text", "Send numbers as text, and spin as components.")]
 Folder = Annotated[
     Path | None,
     option("Folder of the plant's shared records (golfbench nodes --folder).", "DIR", shown="the bench's"),
@@ -68,8 +66,6 @@ def launch_monitor(
     club: Club = False,
     noise: Noise = 1.0,
     delay: Delay = 0.6,
-    pieces: Pieces = False,
-    text: TextNumbers = False,
     folder: Folder = None,
 ) -> None:
     """Simulate a launch monitor for a simulated bench until Ctrl-C or SIGTERM.
@@ -98,8 +94,6 @@ def launch_monitor(
         no_spin=no_spin,
         club=club,
         ghost=ghost,
-        pieces=pieces,
-        text_numbers=text,
         seed=seed,
     )
     settings = c.launch_monitor
