@@ -156,7 +156,7 @@ def test_flight_derivative_still_air_never_adds_energy(
     velocity: tuple[float, float, float], spin: float, tilt: float, model: Aerodynamics
 ) -> None:
     axis = (0.0, sin(tilt), cos(tilt))
-    record = _settings(Air(), Ball(), None, Turf(), model, 0.0, STEP)
+    record = _settings(Air(), Ball(), None, Turf(), model, STEP)
     rate = _derivative((0.0, 10.0, 0.0, *velocity, spin), axis, record)
     power = sum(v * a for v, a in zip(velocity, rate[3:6], strict=True)) + 9.80665 * velocity[1]
     assert power <= 1e-9
