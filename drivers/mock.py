@@ -12,7 +12,17 @@ from __future__ import annotations
 
 import math
 
-from drivers.base import ABSENT, PASSIVE, Command, DriverError, Readings, Triple, device_limited
+from drivers.base import (
+    ABSENT,
+    PASSIVE,
+    Command,
+    DriverError,
+    Readings,
+    Triple,
+    check_open,
+    check_time,
+    device_limited,
+)
 
 ATMOSPHERE = 101_325.0
 """Atmospheric pressure (Pa)."""
@@ -68,13 +78,9 @@ class MockDriver:
         Raises:
             DriverError: not open, or `time` is not finite or earlier than the last.
         """
-        self._require_open("read")
+        check_open(self._is_open, "mock", "read")
         before = time if self._time is None else self._time
-        if not (math.isfinite(time) and time >= before):
-            raise DriverError(
-                f"mock driver: read() at invalid time {time} s, expected finite and at least {before} s; "
-                "pass the loop's monotonic time"
-            )
+        check_time(time, before, "mock")
         self._move(time - before)
         self._time = time
         self._sample(time)
@@ -100,7 +106,7 @@ class MockDriver:
         Raises:
             DriverError: not open.
         """
-        self._require_open("write")
+        check_open(self._is_open, "mock", "write")
         applied = device_limited(command)
         if applied.tee and not self.applied.tee:
             self.ball_present = True
@@ -115,10 +121,6 @@ class MockDriver:
         """Leave the device passive and closed, in any state."""
         self.make_passive()
         self._is_open = False
-
-    def _require_open(self, call: str) -> None:
-        if not self._is_open:
-            raise DriverError(f"mock driver: {call}() while closed; call open() first")
 
     def _move(self, duration: float) -> None:
         """Turn the joints for `duration` (s) at the commanded speeds, within their end stops."""

@@ -13,11 +13,19 @@ import numpy as np
 from numba import carray
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.base import PASSIVE, Command, DriverError, Readings, device_limited
+from drivers.base import PASSIVE, Command, DriverError, Readings, check_open, device_limited, invalid_time
 from drivers.base.compiled import compiled, new_record, numbers
-from drivers.base.native import compiled_call, limit_command
-from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL, NativeCall, NativeCalls
-from drivers.base.raw_memory import copy_bytes, pointer
+from drivers.base.native import (
+    DECLINED,
+    DONE,
+    OPERATIONAL,
+    NativeCall,
+    NativeCalls,
+    compiled_call,
+    copy_bytes,
+    limit_command,
+    pointer,
+)
 from drivers.base.records import COMMAND, READINGS, TRUTH, pack_command, unpack_command, unpack_readings
 from sim.faults import (
     Fault,
@@ -41,10 +49,9 @@ from sim.plant import (
     advance,
     build_plant,
     initial_state,
-    sense,
 )
 from sim.robot import ROBOT
-from sim.truth import Contact, contact_in, note_truth
+from sim.sensors import Contact, contact_in, note_truth, sense
 
 _NEAR = 1e-6
 """Rounding tolerance of a time, as a share of a tick."""
@@ -191,17 +198,14 @@ class SimDriver:
 
     def _advance_to(self, time: float) -> None:
         """Let `_readings` be those of the last whole tick at or before `time` (s)."""
-        self._require_open("read")
+        check_open(self._is_open[0], "sim", "read")
         if not self._has_begun[0] and math.isfinite(time):
             self._has_begun[0], self._first[0] = True, time
             self._offset[0] = time - float(self.plant_state["time"][0])
         first, period, ticks = self._first[0] if self._has_begun[0] else 0.0, self._period[0], self._ticks[0]
         part = (time - first) / period + _NEAR
         if not ticks <= part < math.inf:
-            raise DriverError(
-                f"sim driver: read() at invalid time {time} s, expected finite and at least "
-                f"{first + ticks * period} s; pass the loop's monotonic time"
-            )
+            raise invalid_time(time, first + ticks * period, "sim")
         due = int(part)
         if self.faults is None:
             for _ in range(due - ticks):
@@ -230,7 +234,7 @@ class SimDriver:
         Raises:
             DriverError: not open.
         """
-        self._require_open("write")
+        check_open(self._is_open[0], "sim", "write")
         return self._apply(device_limited(command))
 
     def make_passive(self) -> None:
@@ -259,10 +263,6 @@ class SimDriver:
         self._written[0] = self._ticks[0]
         pack_command(command, self._command)
         return command
-
-    def _require_open(self, call: str) -> None:
-        if not self._is_open[0]:
-            raise DriverError(f"sim driver: {call}() while closed; call open() first")
 
 
 @compiled

@@ -16,12 +16,12 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from drivers.base import CHAMBERS, INVALID, JOINTS
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compiled, fields, new_record
+from drivers.base.native import rest_command
 from drivers.base.ranges import Range
 from drivers.base.records import COMMAND, READINGS
 from sim.plant import EXHAUSTS, OPEN, RELIEFS, SHUT, Plant
-from sim.random_stream import uniform
-from sim.sensors import sense
+from sim.sensors import sense, uniform
 
 Kind = Literal[
     "off",
@@ -296,15 +296,10 @@ class Fault:
 
 FAULT = np.dtype(
     [
-        ("signal", "i8"),
-        ("kind", "i8"),
-        ("value", "f8"),
-        ("time", "f8"),
-        ("phase", "i8"),
-        ("joint", "i8"),
-        ("angle", "f8"),
-        ("after", "f8"),
-        ("duration", "f8"),
+        *fields("i8", "signal kind"),
+        *fields("f8", "value time"),
+        *fields("i8", "phase joint"),
+        *fields("f8", "angle after duration"),
     ],
     align=True,
 )
@@ -335,18 +330,9 @@ its stream of random numbers."""
 
 DEVICE = np.dtype(
     [
-        ("elapsed", "f8"),
-        ("watchdog", "f8"),
-        ("silence", "f8"),
-        ("deafness", "f8"),
-        ("passive", "?"),
-        ("commanded", "?"),
-        ("link_up", "?"),
-        ("inputs_up", "?"),
-        ("loop_up", "?"),
-        ("delay", "i8"),
-        ("index", "i8"),
-        ("filled", "i8"),
+        *fields("f8", "elapsed watchdog silence deafness"),
+        *fields("?", "passive commanded link_up inputs_up loop_up"),
+        *fields("i8", "delay index filled"),
     ],
     align=True,
 )
@@ -661,46 +647,6 @@ def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
 
 
 @compiled
-def _copy_readings(source: Any, target: Any) -> None:
-    """Copy one READINGS record into another."""
-    a, b = source, target
-    b.time = a.time
-    for i in range(3):
-        b.encoder_count[i], b.encoder_time[i] = a.encoder_count[i], a.encoder_time[i]
-        b.encoder_valid[i], b.encoder_age[i] = a.encoder_valid[i], a.encoder_age[i]
-        b.encoder_indexed[i] = a.encoder_indexed[i]
-    b.emergency_stop_clear, b.guard_closed, b.guard_locked = (
-        a.emergency_stop_clear,
-        a.guard_closed,
-        a.guard_locked,
-    )
-    for k in range(2):
-        b.vent_open[k] = a.vent_open[k]
-    b.shut_off_open = a.shut_off_open
-    b.supply_pressure, b.local_reset, b.ball_present = a.supply_pressure, a.local_reset, a.ball_present
-    for i in range(6):
-        b.chamber_pressure[i] = a.chamber_pressure[i]
-    for i in range(3):
-        b.spool_position[i] = a.spool_position[i]
-
-
-@compiled
-def _copy_command(source: Any, target: Any) -> None:
-    """Copy one COMMAND record into another."""
-    a, b = source, target
-    for i in range(3):
-        b.valve[i] = a.valve[i]
-    b.supply_enable, b.exhaust_closed, b.guard_lock, b.beacon, b.tee, b.search_index = (
-        a.supply_enable,
-        a.exhaust_closed,
-        a.guard_lock,
-        a.beacon,
-        a.tee,
-        a.search_index,
-    )
-
-
-@compiled
 def deliver_readings(faults: Faults, plant: Any, state: Any, readings: Any) -> None:
     """Sense PLANT_STATE `state`, apply faults, and transmit it over the link into the bench's `readings`.
 
@@ -711,10 +657,10 @@ def deliver_readings(faults: Faults, plant: Any, state: Any, readings: Any) -> N
     spoil_readings(faults, plant, faults.sensed)
     d.index = (d.index + 1) % (MAX_DELAY + 1)
     d.filled = min(d.filled + 1, MAX_DELAY + 1)
-    _copy_readings(faults.sensed[0], faults.late_readings[d.index])
+    faults.late_readings[d.index] = faults.sensed[0]
     if d.inputs_up:
         back = min(d.delay, d.filled - 1)
-        _copy_readings(faults.late_readings[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)], readings[0])
+        readings[0] = faults.late_readings[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)]
         d.deafness = 0.0
     else:
         d.deafness += plant[0].tick
@@ -736,34 +682,26 @@ def faulty_time(faults: Faults, time: float) -> float:
 
 
 @compiled
-def _make_passive(c: Any) -> None:
-    for i in range(3):
-        c.valve[i] = 0.0
-    c.supply_enable = c.exhaust_closed = c.beacon = c.tee = c.search_index = False
-    c.guard_lock = True
-
-
-@compiled
 def deliver_command(faults: Faults, plant: Any, command: Any, spoken: bool) -> None:
     """Transmit the bench's `command` (COMMAND; `spoken`: sent in this tick) to the device, into `sent`.
 
     Without a command for the watchdog time the device goes passive and stays so until `revive`.
     """
-    d, received, sent, p = faults.device[0], faults.received[0], faults.sent[0], plant[0]
+    d, sent, p = faults.device[0], faults.sent[0], plant[0]
     arrives = spoken and d.link_up
-    _copy_command(command[0], faults.late_commands[d.index])
+    faults.late_commands[d.index] = command[0]
     if d.passive:
-        _make_passive(received)
+        rest_command(faults.received)
     elif arrives:
         d.commanded, d.silence = True, 0.0
         back = min(d.delay, max(d.filled - 1, 0))
-        _copy_command(faults.late_commands[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)], received)
+        faults.received[0] = faults.late_commands[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)]
     elif d.commanded:
         d.silence += p.tick
         if d.silence >= d.watchdog - 1e-9:
             d.passive = True
-            _make_passive(received)
-    _copy_command(received, sent)
+            rest_command(faults.received)
+    faults.sent[0] = faults.received[0]
     for k in range(len(faults.faults)):
         f, m = faults.faults[k], faults.memory[k]
         if _VALVE <= f.signal < _SUPPLY:

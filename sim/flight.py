@@ -3,7 +3,7 @@
 Golf frame: X along the target line, Y up, Z to the right of it. Equations (Smits and Smith 1994):
     dv/dt = (rho A / 2 m) V [-Cd v + Cl (s x v)] - g,   d omega/dt = -2e-5 omega V / r,
 v relative to the air, V = |v|, s the spin's axis, which keeps its direction. Coefficients come from a
-published model (`sim.aerodynamics`), air from `sim.air`, bounce and roll from `sim.turf`.
+published model (`sim.aerodynamics`), air from `sim.aerodynamics`, bounce and roll from `sim.ground`.
 RK4 with a fixed step; apex and landing are found inside their step, so that they too converge.
 """
 
@@ -16,12 +16,11 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from drivers.base import Launch
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compiled, fields, new_record
 from drivers.base.ranges import Range, check_ranges
-from sim.aerodynamics import SPIN_DECAY, Aerodynamics, coefficients
-from sim.air import Air
+from sim.aerodynamics import SPIN_DECAY, Aerodynamics, Air, coefficients
 from sim.ball import Ball
-from sim.turf import Turf, bounce, roll
+from sim.ground import Turf, bounce, roll
 from sim.vectors import Vector, added, norm, unit
 
 __all__ = ["FLIGHT", "Aerodynamics", "Air", "Ball", "Flight", "Launch", "Turf", "Wind", "fly", "fly_many"]
@@ -57,27 +56,11 @@ class Wind:
         if np.shape(self.velocity) != (3,) or not np.all(np.abs(self.velocity) <= 60.0):
             raise ValueError(f"Wind.velocity: found {self.velocity!r}, expected 3 values, -60 to 60 m/s")
 
-    @classmethod
-    def towards(cls, speed: float, direction: float, exponent: float = 0.0) -> Wind:
-        """Return wind of `speed` (m/s) towards `direction` (rad): 0 a tail wind, pi/2 to the right."""
-        return cls((speed * cos(direction), 0.0, speed * sin(direction)), exponent=exponent)
-
 
 FLIGHT = np.dtype(
     [
-        (name, "f8")
-        for name in (
-            "carry",
-            "carry_side",
-            "total",
-            "total_side",
-            "apex",
-            "landing_angle",
-            "landing_speed",
-            "landing_spin",
-            "time",
-            "total_time",
-        )
+        *fields("f8", "carry carry_side total total_side apex"),
+        *fields("f8", "landing_angle landing_speed landing_spin time total_time"),
     ],
     align=True,
 )
@@ -102,7 +85,6 @@ class _Settings(NamedTuple):
     turf_tilt: float
     turf_restitution: float
     turf_resistance: float
-    start_height: float
     step: float
 
 
@@ -138,17 +120,16 @@ def fly(
     wind: Wind | Vector | None = None,
     turf: Turf | None = None,
     aerodynamics: Aerodynamics = Aerodynamics.LIBGOLF,
-    start_height: float = 0.0,
     step: float = STEP,
 ) -> Flight:
     """Return the flight of a ball with `launch`.
 
     `air` defaults to 25 degrees C at sea level, `wind` to none (a tuple is its velocity in the golf frame,
-    m/s), `turf` to a fairway. `start_height` (m) raises the start above the ground; `step` in s.
+    m/s), `turf` to a fairway. `step` is in s.
     Raises ValueError for a launch or setting outside its physical range, and for a ball that stays up 60 s.
     """
     ball, turf = ball or Ball(), turf or Turf()
-    settings = _settings(air or Air(), ball, wind, turf, aerodynamics, start_height, step)
+    settings = _settings(air or Air(), ball, wind, turf, aerodynamics, step)
     launches = _checked(np.array([launch], dtype=float))
     result = new_record(FLIGHT)
     path = np.empty((int(2 * _MAX_FLIGHT_TIME / step) + 4 * _MAX_BOUNCES, 4))
@@ -167,7 +148,6 @@ def fly_many(
     wind: Wind | Vector | None = None,
     turf: Turf | None = None,
     aerodynamics: Aerodynamics = Aerodynamics.LIBGOLF,
-    start_height: float = 0.0,
     step: float = STEP,
 ) -> Array:
     """Return the flights of `launches`, shape (n, 5) in the order of `Launch`, as n records of `FLIGHT`.
@@ -175,15 +155,11 @@ def fly_many(
     Same arguments, figures and errors as `fly`, without paths, in one compiled loop; a ball still in the air
     after 60 s gives NaN.
     """
-    settings = _settings(air or Air(), ball or Ball(), wind, turf or Turf(), aerodynamics, start_height, step)
+    settings = _settings(air or Air(), ball or Ball(), wind, turf or Turf(), aerodynamics, step)
     launches = _checked(np.ascontiguousarray(launches, dtype=float))
-    results = np.zeros(len(launches), FLIGHT)
-    _fly_all(launches, settings, results.view(np.recarray) if _is_plain() else results)
+    results = new_record(FLIGHT, len(launches))
+    _fly_all(launches, settings, results)
     return results
-
-
-def _is_plain() -> bool:
-    return isinstance(new_record(FLIGHT), np.recarray)
 
 
 _LAUNCH_RANGES = (
@@ -216,13 +192,10 @@ def _settings(
     wind: Wind | Vector | None,
     turf: Turf,
     aerodynamics: Aerodynamics,
-    start_height: float,
     step: float,
 ) -> _Settings:
     if not 1e-5 <= step <= 0.05:
         raise ValueError(f"step: found {step!r} s, expected 0.00001 to 0.05 s")
-    if not 0.0 <= start_height <= 100.0:
-        raise ValueError(f"start_height: found {start_height!r} m, expected 0 to 100 m")
     if not isinstance(wind, Wind):
         wind = Wind() if wind is None else Wind(wind)
     return _Settings(
@@ -239,7 +212,6 @@ def _settings(
         turf_tilt=float(turf.tilt),
         turf_restitution=float(turf.restitution_factor),
         turf_resistance=float(turf.rolling_resistance),
-        start_height=float(start_height),
         step=float(step),
     )
 
@@ -366,7 +338,7 @@ def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
     axis = _spin_axis(elevation, azimuth, tilt)
     state = (
         0.0,
-        s.start_height,
+        0.0,
         0.0,
         speed * cos(elevation) * cos(azimuth),
         speed * sin(elevation),
@@ -375,8 +347,8 @@ def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
     )
     t = 0.0
     row = _recorded(path, 0, t, state[0], state[1], state[2])
-    r.apex = s.start_height
-    if state[4] > 0.0 or state[1] > 0.0:
+    r.apex = 0.0
+    if state[4] > 0.0:
         state, t, r.apex, row = _airborne(state, axis, t, settings, path, row)
     if t >= _MAX_FLIGHT_TIME:
         r.carry = r.carry_side = r.total = r.total_side = r.apex = r.time = r.total_time = np.nan

@@ -37,31 +37,11 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from drivers.base import Launch
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compiled, fields, new_record
 from sim.ball import Ball
 from sim.contact import contact_impulse
 from sim.robot import Club
 from sim.vectors import Vector, added, cross, dot, norm, scaled, unit
-
-__all__ = [
-    "IMPACT",
-    "Axes",
-    "Ball",
-    "Delivery",
-    "Launch",
-    "collide",
-    "delivery_from_plane",
-    "face_axes",
-    "face_gap",
-    "impact_in_plane",
-    "impact_parameters",
-    "in_plane_error",
-    "launch_from_motion",
-    "meets_face",
-    "plane_to_golf",
-    "strike",
-    "strike_point",
-]
 
 Array: TypeAlias = np.ndarray[Any, Any]
 Source = Literal["simulated", "encoders+model", "launch monitor"]
@@ -81,30 +61,11 @@ _MIN_RESTITUTION = 0.1
 
 IMPACT = np.dtype(
     [
-        (name, "f8")
-        for name in (
-            "plane_lie",
-            "club_lie",
-            "loft",
-            "face_angle",
-            "head_mass",
-            "head_inertia_n",
-            "head_inertia_h",
-            "head_inertia_t",
-            "head_depth",
-            "bulge_radius",
-            "roll_radius",
-            "restitution",
-            "restitution_slope",
-            "tangential_factor",
-            "tangential_stiffness",
-            "tangential_loss",
-            "ball_mass",
-            "ball_radius",
-            "ball_inertia",
-            "friction",
-            "tee_shift",
-        )
+        *fields("f8", "plane_lie club_lie loft face_angle"),
+        *fields("f8", "head_mass head_inertia_n head_inertia_h head_inertia_t head_depth"),
+        *fields("f8", "bulge_radius roll_radius restitution restitution_slope"),
+        *fields("f8", "tangential_factor tangential_stiffness tangential_loss"),
+        *fields("f8", "ball_mass ball_radius ball_inertia friction tee_shift"),
     ],
     align=True,
 )

@@ -1,8 +1,8 @@
 """Simulated launch monitor: reports the plant's balls over GSPro's Open Connect, with configurable faults.
 
 It is a client of the bench's own server and written from the protocol's description alone. Faults of real
-monitors can be enabled: noise, misread figures, missing spin, repeated or missing shots, numbers as text,
-other spellings, fragmented messages. The same seed and shot number give the same messages.
+monitors can be enabled: noise, misread figures, missing spin, repeated or missing shots. The same seed and
+shot number give the same messages.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 import socket
 from contextlib import suppress
 from dataclasses import dataclass
-from math import cos, degrees, pi, sin
+from math import degrees, pi
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -24,8 +24,6 @@ MPH, RPM, YARD = 0.44704, pi / 30.0, 0.9144
 """Units in m/s, rad/s and m."""
 HEARTBEAT, RECONNECT = 2.0, 5.0
 """Heartbeat period and reconnection period, s."""
-_PIECE = 200
-"""Approximate bytes of a fragment."""
 
 Share = Annotated[float, Range(0.0, 1.0, "")]
 
@@ -65,10 +63,6 @@ class MonitorParameters:
     """Whether club figures are reported, with the noise of the ball's speed and angles."""
     ghost: Share = 0.0
     """Share of shots followed by a false shot half a minute later."""
-    text_numbers: bool = False
-    """Whether numbers are sent as text, and spin as components only."""
-    other_spelling: bool = False
-    pieces: bool = False
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -86,9 +80,10 @@ class ClubMotion(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """A message and its send time, s after the impact."""
+    """A message and its send time."""
 
-    delay: float
+    due: float
+    """Time after the impact, of a running monitor on its clock, s."""
     message: bytes
 
 
@@ -116,7 +111,7 @@ def monitor_messages(
     seen = _club_seen(club, number, p)
     flown = _carries_seen(carry, number, p)
     messages = [
-        _message(f, 2 * number + n, p, no_spin < p.no_spin, seen, flown[n]) for n, f in enumerate(figures)
+        _message(f, 2 * number + n, no_spin < p.no_spin, seen, flown[n]) for n, f in enumerate(figures)
     ]
     planned = [Planned(float(delays[0]), messages[0])]
     if repeated < p.repeated:
@@ -166,44 +161,30 @@ def _misread(launch: Launch, kind: int) -> Launch:
 
 
 def _message(
-    launch: Launch,
-    number: int,
-    p: MonitorParameters,
-    no_spin: bool,
-    club: ClubMotion | None,
-    carry: float | None,
+    launch: Launch, number: int, no_spin: bool, club: ClubMotion | None, carry: float | None
 ) -> bytes:
-    def shown(value: float, digits: int) -> float | str:
-        return f"{value:.{digits}f}" if p.text_numbers else round(value, digits)
-
-    spin, axis = launch.spin / RPM, launch.spin_axis
-    ball: dict[str, Any] = {
-        "Speed": shown(launch.speed / MPH, 3),
-        "VLA": shown(degrees(launch.launch_angle), 3),
-        "HLA": shown(degrees(launch.direction), 3),
+    ball = {
+        "Speed": round(launch.speed / MPH, 3),
+        "VLA": round(degrees(launch.launch_angle), 3),
+        "HLA": round(degrees(launch.direction), 3),
+        "TotalSpin": 0.0 if no_spin else round(launch.spin / RPM, 2),
+        "SpinAxis": 0.0 if no_spin else round(degrees(launch.spin_axis), 3),
     }
-    if no_spin:
-        ball |= {"TotalSpin": shown(0.0, 1), "SpinAxis": shown(0.0, 1)}
-    elif p.text_numbers:
-        back = "Backspin" if p.other_spelling else "BackSpin"
-        ball |= {"TotalSpin": "0.0", back: shown(spin * cos(axis), 2), "SideSpin": shown(spin * sin(axis), 2)}
-    else:
-        ball |= {"TotalSpin": shown(spin, 2), "SpinAxis": shown(degrees(axis), 3)}
     if carry is not None:
-        ball["CarryDistance"] = shown(carry / YARD, 3)
+        ball["CarryDistance"] = round(carry / YARD, 3)
     more = {"BallData": ball}
     if club is not None:
-        speed, attack = shown(club.speed / MPH, 3), shown(degrees(club.attack_angle), 3)
+        speed, attack = round(club.speed / MPH, 3), round(degrees(club.attack_angle), 3)
         more["ClubData"] = {"Speed": speed, "AngleOfAttack": attack}
-    return _root(number, p, {"ContainsBallData": True, "ContainsClubData": club is not None}, more)
+    return _root(number, {"ContainsBallData": True, "ContainsClubData": club is not None}, more)
 
 
-def _root(number: int, p: MonitorParameters, options: dict[str, Any], more: dict[str, Any]) -> bytes:
+def _root(number: int, options: dict[str, Any], more: dict[str, Any]) -> bytes:
     root: dict[str, Any] = {
         "DeviceID": "simulated monitor",
         "Units": "Yards",
         "ShotNumber": number,
-        "APIVersion" if p.other_spelling else "APIversion": "1",
+        "APIversion": "1",
         "ShotDataOptions": {
             **options,
             "LaunchMonitorIsReady": True,
@@ -211,12 +192,7 @@ def _root(number: int, p: MonitorParameters, options: dict[str, Any], more: dict
         },
         **more,
     }
-    return json.dumps(root, indent=1 if p.other_spelling else None).encode()
-
-
-class _Outgoing(NamedTuple):
-    due: float
-    message: bytes
+    return json.dumps(root).encode()
 
 
 class SimulatedMonitor:
@@ -229,13 +205,13 @@ class SimulatedMonitor:
         self.sent = 0
         """Number of shot messages sent completely."""
         self._place = (address, port)
-        self._waiting: list[_Outgoing] = []
+        self._waiting: list[Planned] = []
         self._number = 0
         self._connection: socket.socket | None = None
         self._connected = False
         self._next_attempt = self._next_heartbeat = -float("inf")
         self._unsent = bytearray()
-        self._in_flight: list[_Outgoing] = []
+        self._in_flight: list[Planned] = []
         """Shots whose message is in `_unsent`; a dropped connection puts them back."""
 
     @property
@@ -254,7 +230,7 @@ class SimulatedMonitor:
         """Measure a ball with `launch` at `time` (s, the clock of `step`), the `club` and the `carry` (m)."""
         self._number += 1
         planned = monitor_messages(launch, self._number, self.parameters, club, carry)
-        self._waiting += [_Outgoing(time + delay, message) for delay, message in planned]
+        self._waiting += [Planned(time + delay, message) for delay, message in planned]
         self._waiting.sort(key=lambda outgoing: outgoing.due)
 
     def step(self, time: float) -> None:
@@ -292,16 +268,13 @@ class SimulatedMonitor:
         if time >= self._next_heartbeat:
             self._next_heartbeat = time + HEARTBEAT
             options = {"ContainsBallData": False, "ContainsClubData": False, "IsHeartBeat": True}
-            self._unsent += _root(self._number, self.parameters, options, {})
+            self._unsent += _root(self._number, options, {})
         while self._waiting and self._waiting[0].due <= time:
             self._in_flight.append(self._waiting.pop(0))
             self._unsent += self._in_flight[-1].message
         with suppress(BlockingIOError):
             while self._unsent:
-                piece = self._unsent[:_PIECE] if self.parameters.pieces else self._unsent
-                del self._unsent[: self._connection.send(piece)]
-                if self.parameters.pieces:
-                    break  # the rest at the next step
+                del self._unsent[: self._connection.send(self._unsent)]
         if not self._unsent:
             self.sent += len(self._in_flight)
             self._in_flight.clear()

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compiled, fields, new_record
 from drivers.base.ranges import Range
 from sim.ball import Ball
 from sim.dynamics import (
@@ -30,31 +30,11 @@ from sim.dynamics import (
 from sim.ground import SURFACES, SurfaceName
 from sim.impact import impact_parameters
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply
-from sim.robot import Club, Length, RobotParameters
-from sim.sensors import HISTORY, sense
+from sim.robot import Length, RobotParameters
+from sim.sensors import HISTORY
 from sim.tee import find_contact, strike_ball
 
 Array = NDArray[np.float64]
-
-__all__ = [
-    "EXHAUSTS",
-    "HISTORY",
-    "OPEN",
-    "PLANT_PARAMETERS",
-    "PLANT_STATE",
-    "RELIEFS",
-    "SHUT",
-    "Encoders",
-    "Plant",
-    "PlantParameters",
-    "Shaft",
-    "Site",
-    "advance",
-    "build_plant",
-    "initial_state",
-    "sense",
-]
-
 
 ZeroCount = Annotated[float, Range(-(2.0**24), 2.0**24, "counts")]
 Sign = Annotated[int, Range(-1, 1, "")]
@@ -226,72 +206,32 @@ EXHAUSTS = 7
 
 PLANT_PARAMETERS = np.dtype(
     [
-        ("area_a", "f8", (3,)),
-        ("area_b", "f8", (3,)),
-        ("dead_volume", "f8", (3,)),
-        ("lower", "f8", (3,)),
-        ("upper", "f8", (3,)),
-        ("volume_lower", "f8", (3,)),
-        ("volume_upper", "f8", (3,)),
-        ("viscous", "f8", (3,)),
-        ("coulomb", "f8", (3,)),
-        ("static", "f8", (3,)),
-        ("stribeck_speed", "f8", (3,)),
-        ("stop_stiffness", "f8", (3,)),
-        ("stop_travel", "f8", (3,)),
-        ("stop_damping_speed", "f8", (3,)),
-        ("conductance", "f8", (3,)),
-        ("critical_ratio", "f8", (3,)),
-        ("dead_band", "f8", (3,)),
-        ("leakage", "f8", (3,)),
-        ("centre", "f8", (3,)),
-        ("cross_leakage", "f8", (3,)),
+        # By actuator
+        *fields("f8", "area_a area_b dead_volume lower upper volume_lower volume_upper", (3,)),
+        *fields("f8", "viscous coulomb static stribeck_speed", (3,)),
+        *fields("f8", "stop_stiffness stop_travel stop_damping_speed", (3,)),
+        *fields("f8", "conductance critical_ratio dead_band leakage centre cross_leakage", (3,)),
         ("spool", "f8", (3, 4)),
-        ("lever_cos", "f8"),
-        ("lever_sin", "f8"),
-        ("regulated", "f8"),
-        ("feed_conductance", "f8"),
-        ("manifold", "f8"),
-        ("dump_conductance", "f8"),
-        ("relief_pressure", "f8", (RELIEFS,)),
-        ("relief_conductance", "f8", (RELIEFS,)),
-        ("relief_leakage", "f8", (RELIEFS,)),
-        ("soft_start_time", "f8"),
-        ("vent_conductance", "f8"),
-        ("vent_delay", "f8"),
-        ("shut_off_delay", "f8"),
-        ("atmosphere", "f8"),
-        ("exponent", "f8"),
-        ("encoder_scale", "f8", (3,)),
-        ("encoder_zero", "f8", (3,)),
+        *fields("f8", "lever_cos lever_sin"),
+        # Supply
+        *fields("f8", "regulated feed_conductance manifold dump_conductance"),
+        *fields("f8", "relief_pressure relief_conductance relief_leakage", (RELIEFS,)),
+        *fields("f8", "soft_start_time vent_conductance vent_delay shut_off_delay atmosphere exponent"),
+        # Sensors and stuck parts
+        *fields("f8", "encoder_scale encoder_zero", (3,)),
         ("encoder_counts", "i8"),
         ("incremental", "?"),
-        ("latency", "f8"),
-        ("jitter", "f8"),
-        ("noise", "f8"),
-        ("pressure_sensors", "?"),
-        ("vent_feedback", "?"),
+        *fields("f8", "latency jitter noise"),
+        *fields("?", "pressure_sensors vent_feedback"),
         ("vent_stuck", "i8", (2,)),
-        ("shut_off_feedback", "?"),
-        ("spool_feedback", "?"),
-        ("shut_off_stuck", "i8"),
-        ("relay_stuck", "i8"),
+        *fields("?", "shut_off_feedback spool_feedback"),
+        *fields("i8", "shut_off_stuck relay_stuck"),
         ("exhaust", "f8", (EXHAUSTS,)),
+        # Shaft, ground and ball
         ("flexible", "?"),
-        ("head_mass", "f8"),
-        ("head_stiffness", "f8"),
-        ("head_damping", "f8"),
-        ("head_distance", "f8"),
-        ("ground", "f8"),
-        ("ground_stiffness", "f8"),
-        ("ground_friction", "f8"),
-        ("ground_strength", "f8"),
-        ("ground_density", "f8"),
-        ("sole_depth", "f8"),
-        ("ball_x", "f8"),
-        ("ball_y", "f8"),
-        ("lie", "f8"),
-        ("tick", "f8"),
+        *fields("f8", "head_mass head_stiffness head_damping head_distance"),
+        *fields("f8", "ground ground_stiffness ground_friction ground_strength ground_density sole_depth"),
+        *fields("f8", "ball_x ball_y lie tick"),
         ("substeps", "i8"),
     ],
     align=True,
@@ -302,45 +242,28 @@ less than 1 with a clogged silencer or a kinked hose."""
 PLANT_STATE = np.dtype(
     [
         ("time", "f8"),
-        ("angle", "f8", (3,)),
-        ("speed", "f8", (3,)),
+        *fields("f8", "angle speed", (3,)),
         ("pressure", "f8", (6,)),
-        ("supply_pressure", "f8"),
-        ("flex", "f8"),
-        ("flex_speed", "f8"),
-        ("spool", "f8", (3,)),
-        ("spool_speed", "f8", (3,)),
-        ("supply_level", "f8"),
-        ("vent_timer", "f8"),
+        *fields("f8", "supply_pressure flex flex_speed"),
+        *fields("f8", "spool spool_speed", (3,)),
+        *fields("f8", "supply_level vent_timer"),
         ("vent_open", "u1", (2,)),
         ("shut_off_timer", "f8"),
         ("shut_off_open", "u1"),
         ("effort", "f8", (3,)),
         ("head", "f8", (6,)),
         ("stop_work", "f8", (3,)),
-        ("stop_energy", "f8", (3, 2)),
-        ("stop_depth", "f8", (3, 2)),
+        *fields("f8", "stop_energy stop_depth", (3, 2)),
         ("peak_pressure", "f8", (6,)),
-        ("lowest_clearance", "f8"),
-        ("peak_head_speed", "f8"),
-        ("air_used", "f8"),
-        ("emergency_stop_clear", "?"),
-        ("guard_closed", "?"),
-        ("guard_locked", "?"),
-        ("local_reset", "?"),
-        ("encoder_valid", "u1", (3,)),
-        ("encoder_indexed", "u1", (3,)),
+        *fields("f8", "lowest_clearance peak_head_speed air_used"),
+        *fields("?", "emergency_stop_clear guard_closed guard_locked local_reset"),
+        *fields("u1", "encoder_valid encoder_indexed", (3,)),
         ("encoder_start", "i8", (3,)),
         ("index_fitted", "u1", (3,)),
-        ("search_before", "?"),
-        ("ball_present", "?"),
-        ("tee_before", "?"),
-        ("struck", "?"),
+        *fields("?", "search_before ball_present tee_before struck"),
         ("impact_time", "f8"),
         ("impact_head", "f8", (6,)),
-        ("impulse", "f8", (3,)),
-        ("ball_velocity", "f8", (3,)),
-        ("ball_spin", "f8", (3,)),
+        *fields("f8", "impulse ball_velocity ball_spin", (3,)),
         ("history", "f8", (HISTORY, 3)),
         ("history_index", "i8"),
         ("random", "u8"),
@@ -362,11 +285,6 @@ class Plant:
     def records(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Records (robot, plant, impact) in the argument order of the compiled functions."""
         return self.robot, self.plant, self.impact
-
-
-def _without_head(club: Club) -> Club:
-    """Return the club without the head's mass in body C (it is on the flexible shaft)."""
-    return replace(club, head_mass=1e-9)
 
 
 def build_plant(parameters: PlantParameters) -> Plant:
@@ -393,8 +311,9 @@ def build_plant(parameters: PlantParameters) -> Plant:
     for name, value in _shared_values(parameters).items():
         record[name] = value
     club, robot = parameters.robot.club, parameters.robot
-    rigid = replace(robot, club=_without_head(club)) if parameters.shaft.flexible else robot
-    return Plant(parameters, rigid.record, record, impact_parameters(club, parameters.ball, robot.lie))
+    if parameters.shaft.flexible:  # the head's mass is on the shaft, not in body C
+        robot = replace(robot, club=replace(club, head_mass=1e-9))
+    return Plant(parameters, robot.record, record, impact_parameters(club, parameters.ball, robot.lie))
 
 
 def _actuator_values(actuator: Actuator, half_step: float) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from drivers.base.compiled import new_record
+from drivers.base.compiled import fields, new_record
 from drivers.base.ranges import Range
 
 _INCH = 0.0254
@@ -155,31 +155,9 @@ def _right_arm_cylinder() -> Body:
 
 ROBOT = np.dtype(
     [
-        (name, "f8")
-        for name in (
-            "l12",
-            "l16",
-            "l62",
-            "l23",
-            "l3t",
-            "l56",
-            "mass_a",
-            "com_a",
-            "inertia_a",
-            "mass_b",
-            "com_b",
-            "inertia_b",
-            "mass_c",
-            "com_c",
-            "inertia_c",
-            "mass_d",
-            "com_d",
-            "inertia_d",
-            "mass_e",
-            "com_e",
-            "inertia_e",
-            "gravity",
-        )
+        *fields("f8", "l12 l16 l62 l23 l3t l56"),
+        *fields("f8", "mass_a com_a inertia_a mass_b com_b inertia_b mass_c com_c inertia_c"),
+        *fields("f8", "mass_d com_d inertia_d mass_e com_e inertia_e gravity"),
     ],
     align=True,
 )

@@ -23,10 +23,10 @@ from scipy.optimize import least_squares
 from bench.base.from_toml import checked_values
 from drivers.base import Launch
 from drivers.base.ranges import Range
-from sim.air import Air
+from sim.aerodynamics import Air
 from sim.ball import Ball
 from sim.flight import Aerodynamics, Wind, fly, fly_many
-from sim.turf import Turf
+from sim.ground import Turf
 
 BEYOND = 0.05
 """Share of speed and spin by which a launch may lie outside the measured range."""

@@ -25,7 +25,7 @@ from bench.control.settings import (
 )
 from drivers.base.ranges import short
 from sim.faults import MAX_DELAY
-from sim.plant import HISTORY
+from sim.sensors import HISTORY
 
 MAX_SUBSTEP = 0.00025
 """Internal step up to which the plant's delivery is converged (s)."""

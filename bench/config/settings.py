@@ -27,13 +27,13 @@ from drivers.base.ranges import Range
 from drivers.canopen.settings import CanopenSettings
 from drivers.daq.settings import DaqSettings
 from drivers.launch_monitor.settings import LaunchMonitorSettings
-from sim.air import Air
+from sim.aerodynamics import Air
 from sim.ball import Ball
 from sim.faults import Fault
 from sim.flight import Wind
+from sim.ground import Turf
 from sim.plant import PlantParameters, Site
 from sim.robot import Club
-from sim.turf import Turf
 
 _log = logging.getLogger("golfbench")
 _PASSWORD = re.compile(r"(//[^:/@]*:)[^/]*@")

@@ -111,7 +111,9 @@ def _bounds(hint: Any, suffix: str) -> str:
 
 
 def _with_origin(docs: str, path: str) -> str:
-    origin = ORIGINS.get(path.removeprefix("plant."), "") if path.startswith("plant.") else ""
+    table, _, key = path.partition(".")
+    of_actuator = ORIGINS.get(key.partition(".")[2], "")
+    origin = ORIGINS.get(key, of_actuator) if table == "plant" else ""
     return "; ".join(part for part in (" ".join(docs.split()).removesuffix("."), origin) if part)
 
 

@@ -20,7 +20,7 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.records.shot.shot_message import ShotPublication
 from bench.records.telemetry.recorder import SwingRecord, read_swing
-from drivers.launch_monitor.matching import MatchOutcome
+from drivers.launch_monitor.record import MatchOutcome
 
 LEASE = 15.0
 """Duration of the lease, s: a dead program holds the bench no longer."""

@@ -149,7 +149,7 @@ class LaunchMonitorStatus(TypedDict):
     note: str
     """Remark; empty if all is well."""
     outcomes: dict[str, int]
-    """Number of swings and launches by `drivers.launch_monitor.matching.MatchOutcome`."""
+    """Number of swings and launches by `drivers.launch_monitor.record.MatchOutcome`."""
     settled_s: float
     """Time after the impact at which a swing's outcome is settled, s."""
     refused: int

@@ -36,7 +36,7 @@ from bench.records.telemetry.cycle_record import (
     SCHEMA_VERSION,
     unit_of,
 )
-from drivers.launch_monitor.matching import MatchOutcome
+from drivers.launch_monitor.record import MatchOutcome
 
 LOOP_VERSION = 1
 """Version of `LoopMessage`."""

@@ -34,8 +34,8 @@ from sim.faults import (
     notice_onsets,
     own_records,
 )
-from sim.plant import Plant, advance, initial_state, sense
-from sim.truth import note_truth
+from sim.plant import Plant, advance, initial_state
+from sim.sensors import note_truth, sense
 
 
 @compiled

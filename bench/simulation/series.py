@@ -27,7 +27,7 @@ from bench.swing.profile import Profile
 from sim.faults import Fault
 from sim.impact import Delivery
 from sim.plant import Plant, PlantParameters, build_plant
-from sim.truth import contact_in
+from sim.sensors import contact_in
 
 HOLD = 1.0
 """Time at the address before a swing, s: the air in the chambers comes to rest later than the robot."""

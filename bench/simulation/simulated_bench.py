@@ -36,7 +36,7 @@ from sim.driver import hanging_pose
 from sim.flight import Flight, fly
 from sim.impact import Delivery, impact_parameters
 from sim.plant import PlantParameters, build_plant, initial_state
-from sim.truth import Contact, contact_in
+from sim.sensors import Contact, contact_in
 
 _LOOK = 0.02
 """Time between two looks at the phase and at Ctrl-C, s."""

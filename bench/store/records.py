@@ -8,7 +8,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from sim.air import Air
+from sim.aerodynamics import Air
 
 
 class CampaignState(StrEnum):

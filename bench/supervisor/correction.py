@@ -16,7 +16,7 @@ import numpy as np
 from bench.swing.correction import Basis
 from bench.swing.correction_terms import MAX_WEIGHTS
 from bench.swing.profile import Profile
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 CORRECTION_FILE, CORRECTED_FILE = "correction", "corrected"
 
@@ -54,13 +54,13 @@ class CorrectionReader:
         self._orders = SharedRecord.open(folder / CORRECTION_FILE, CORRECTION)
         self._active = SharedRecord.create(folder / CORRECTED_FILE, CORRECTED)
         self._order, self._answer = np.zeros(1, CORRECTION), np.zeros(1, CORRECTED)
-        self._version = self._orders.newest
+        self._version = self._orders.slots.head
         self._active.write(self._answer)
 
     @property
     def is_ordered(self) -> bool:
         """Whether there is an order that was not taken yet."""
-        return self._orders.newest != self._version
+        return self._orders.slots.head != self._version
 
     def take(self, tick: int, *, resting: bool) -> Profile | None:
         """Return the profile to swing from `tick` on if a new one was ordered, else None.

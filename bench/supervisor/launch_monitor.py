@@ -44,7 +44,7 @@ from bench.supervisor.child_process import (
     send_failure,
 )
 from drivers.base import DriverError
-from drivers.base.shared_record import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient
 from drivers.launch_monitor.server import LaunchMonitorServer
 

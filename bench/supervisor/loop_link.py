@@ -27,7 +27,7 @@ from bench.supervisor.correction import (
 )
 from bench.supervisor.status import refusal_words
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 Cycles = np.ndarray[Any, Any]
 

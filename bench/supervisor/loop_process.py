@@ -53,7 +53,7 @@ from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing
 from bench.supervisor.timing_record import Stall
 from drivers.base import Driver, DriverError
 from drivers.base.compiled import new_record, numbers
-from drivers.base.shared_record import SharedMemoryError, SharedRecord
+from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 from drivers.registry import choose_driver, find_drivers
 from sim.live.paced_driver import PacedPlantDriver
 

@@ -44,7 +44,7 @@ from bench.supervisor.child_process import (
     send_failure,
 )
 from bench.supervisor.timing_record import TimingReader, summary
-from drivers.base.shared_record import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 
 PERIOD = 0.02
 """Period of the batches, s."""

@@ -59,7 +59,7 @@ from bench.supervisor.correction import CORRECTED, CORRECTED_FILE, weights_of
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
-from drivers.base.shared_record import SharedMemoryError, SharedRecord
+from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 from sim.plant import PlantParameters
 
 POLL = 0.01

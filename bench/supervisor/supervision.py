@@ -13,9 +13,8 @@ from bench.base.lifecycle import Request
 from bench.control.step_records import CONTROL_STATE
 from drivers.base.compiled import compiled, new_record, numbers
 from drivers.base.compiled_slots import fetch_record, slots_at
-from drivers.base.mapped_slots import HEAD_WORD, READ
-from drivers.base.raw_memory import pointer
-from drivers.base.shared_record import SharedRecord
+from drivers.base.native import pointer
+from drivers.base.shared_memory import HEAD_WORD, READ, SharedRecord
 
 SUPERVISION_FILE = "supervision"
 
@@ -79,9 +78,9 @@ class Orders:
         )
         self._version[0], self._last_heartbeat[0], self._silence[0] = _UNREAD, -np.inf, silence
         self._look()
-        self._words = self._shared.words
+        self._words = self._shared.slots.words
         self._control: np.ndarray[Any, Any] | None = None
-        held = self._shared.block, self._values, self._spare, self._memory
+        held = self._shared.slots.block, self._values, self._spare, self._memory
         self._block = np.array([*(array.ctypes.data for array in held), 0], np.int64)
         self._address = self._block.ctypes.data
         self._is_plain = bool(numba.config.DISABLE_JIT)

@@ -27,7 +27,7 @@ from bench.supervisor.timing_record import (
     Stall,
 )
 from drivers.base.compiled import compiled
-from drivers.base.mapped_slots import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 
 _PERIOD, _TICKS, _SKIPPED, _LATE, _DUE, _MAX_DURATION, _COUNT = (
     int(TIMING.fields[name][1]) // 8  # type: ignore[index]

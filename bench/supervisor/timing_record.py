@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.base.mapped_slots import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 
 STAMPS = ("begin", "read", "estimate", "decide", "limit", "write", "publish")
 """Time stamps of a tick (ns, CLOCK_MONOTONIC): its start, then the end of each segment."""

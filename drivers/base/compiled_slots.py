@@ -1,4 +1,4 @@
-"""Writer and reader of a mapped file of records (`drivers.base.mapped_slots`) in compiled code.
+"""Writer and reader of a mapped file of records (`drivers.base.shared_memory`) in compiled code.
 
 The same bytes as by Python, copied once, and the same rules. Fences keep the order; they cost nothing on a
 processor that keeps it without them.
@@ -12,10 +12,17 @@ import numpy as np
 from numba import carray
 
 from drivers.base.compiled import compiled
-from drivers.base.mapped_slots import ADDRESS, FIRST, HEAD, MASK, READ, SIZE, STRIDE, WRITTEN
-from drivers.base.native import compiled_call
-from drivers.base.native_calls import DECLINED, DONE
-from drivers.base.raw_memory import copy_bytes, fence, load_word, pointer, store_word
+from drivers.base.native import (
+    DECLINED,
+    DONE,
+    compiled_call,
+    copy_bytes,
+    fence,
+    load_word,
+    pointer,
+    store_word,
+)
+from drivers.base.shared_memory import ADDRESS, FIRST, HEAD, MASK, READ, SIZE, STRIDE, WRITTEN
 
 _ATTEMPTS = 16
 """Copies tried before the last value stays."""

@@ -1,17 +1,60 @@
-"""Compiled native functions (`drivers.base.native_calls`), and what they need of a command."""
+"""Native functions, and how compiled code uses addresses: access, order of loads and stores, calls, clock.
+
+A native function is a C function by address, through which a compiled tick calls a driver or publisher. It
+takes the address of its block of memory, two addresses of records and the time (s), and returns a word. One
+that returns DECLINED has done nothing: the caller then runs the Python code, which handles every case and
+raises any error. Both give bit-identical results.
+
+Nothing here checks an address: a caller holds the arrays that it gives the addresses of.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import numba
-from numba import types
+import numpy as np
+from llvmlite import ir
+from numba import carray, types
 from numba.core import sigutils
 from numba.core.ccallback import CFunc
+from numba.extending import intrinsic
 
 from drivers.base.compiled import compiled, keep_code
+
+DECLINED = 0
+DONE = 1
+OPERATIONAL = 2
+"""Bit of a read's answer: `Driver.operational` after it."""
+
+
+class NativeCall(NamedTuple):
+    """A native function and its block; function 0 where Python does it."""
+
+    function: int = 0
+    block: int = 0
+
+
+class NativeCalls(NamedTuple):
+    """The native functions of a driver."""
+
+    read: NativeCall = NativeCall()
+    """READINGS at the first address; returns DONE, with OPERATIONAL, or DECLINED."""
+    write: NativeCall = NativeCall()
+    """COMMAND at the first address; the applied one is written to the second. Returns DONE or DECLINED."""
+    note_truth: NativeCall = NativeCall()
+    """TRUTH is written to the first address. Returns DONE or DECLINED."""
+
+
+@runtime_checkable
+class NativeDriver(Protocol):
+    """A driver that can also be called from compiled code."""
+
+    def native_calls(self) -> NativeCalls:
+        """Return the native functions; their blocks live as long as the driver."""
+
 
 _SIGNATURE = types.int64(types.int64, types.int64, types.int64, types.float64)
 
@@ -69,3 +112,88 @@ def rest_command(applied: Any) -> None:
     out.supply_enable = out.exhaust_closed = False
     out.guard_lock = True
     out.beacon = out.tee = out.search_index = False
+
+
+CLOCK_REALTIME, CLOCK_MONOTONIC = 0, 1
+_SECOND = 1_000_000_000
+_WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
+
+_clock_gettime = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.intp))
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def pointer(typing: Any, address: Any) -> Any:
+    """Return `address` as a pointer, for `numba.carray`."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], context.get_value_type(types.voidptr))
+
+    return types.voidptr(types.intp), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def load_word(typing: Any, address: Any) -> Any:
+    """Return the word at `address`; no later load or store comes before this load."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        location = builder.inttoptr(arguments[0], _WORD.as_pointer())
+        return builder.load_atomic(location, "acquire", 8)
+
+    return types.int64(types.int64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def store_word(typing: Any, address: Any, value: Any) -> Any:
+    """Store the word `value` at `address`; no earlier load or store comes after this store."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        location = builder.inttoptr(arguments[0], _WORD.as_pointer())
+        builder.store_atomic(arguments[1], location, "release", 8)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def fence(typing: Any) -> Any:
+    """Let no load or store pass, in either direction, but a load before an earlier store."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.fence("acq_rel")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call_native(typing: Any, function: Any, block: Any, first: Any, second: Any, time: Any) -> Any:
+    """Call the native function at the address `function`, see `drivers.base.native`."""
+    kind = ir.FunctionType(_WORD, [_WORD, _WORD, _WORD, _NUMBER])
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+
+    words = [types.int64] * 4
+    return types.int64(*words, types.float64), generate
+
+
+@compiled
+def copy_bytes(source: int, target: int, size: int) -> None:
+    """Copy `size` bytes from one address to another."""
+    old, new = carray(pointer(source), size, np.uint8), carray(pointer(target), size, np.uint8)
+    for k in range(size):
+        new[k] = old[k]
+
+
+@compiled
+def monotonic_now(scratch: int) -> int:
+    """Return CLOCK_MONOTONIC, ns; arguments as `clock_now`."""
+    return clock_now(CLOCK_MONOTONIC, scratch)
+
+
+@compiled
+def clock_now(clock: int, scratch: int) -> int:
+    """Return a clock of the kernel, ns, which the kernel writes to the address `scratch`, 16 bytes."""
+    _clock_gettime(clock, scratch)
+    t = carray(pointer(scratch), 2, np.int64)
+    return t[0] * _SECOND + t[1]  # type: ignore[no-any-return]

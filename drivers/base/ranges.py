@@ -67,3 +67,22 @@ def check_ranges(value: object) -> None:
         found = getattr(value, name)
         if not (isfinite(found) and span.low <= found <= span.high):
             raise ValueError(f"{kind.__name__}.{name}: found {found!r}, expected {span}")
+
+
+def check_wiring(channels: Any, table: str, output_range: float) -> None:
+    """Raise ValueError if a stroke exceeds its output's range (V), or a broken cable reads as a pressure.
+
+    `channels` are settings of analogue channels in `table` of the configuration.
+    """
+    for centre in channels.centre:
+        if not channels.span <= centre <= output_range - channels.span:
+            stroke = f"{centre:g} V -+ {channels.span:g} V"
+            raise ValueError(f"{table}centre: the full stroke, {stroke}, within 0 to {output_range:g} V")
+    if channels.pressure_at_full_scale <= channels.pressure_at_zero:
+        raise ValueError(f"{table}pressure_at_full_scale: more than pressure_at_zero")
+    if channels.pressure_at_zero >= channels.lowest_pressure:
+        raise ValueError(f"{table}lowest_pressure: more than pressure_at_zero, which a cut cable reads")
+    if channels.pressure_at_full_scale <= channels.highest_pressure:
+        raise ValueError(
+            f"{table}highest_pressure: less than pressure_at_full_scale, which a short circuit reads"
+        )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.base.contract import Command, Readings
+from drivers.base import Command, Readings
 
 READINGS = np.dtype(
     [

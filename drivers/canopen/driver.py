@@ -37,9 +37,10 @@ from drivers.base import (
     DriverError,
     Readings,
     believed,
+    check_time,
     device_limited,
 )
-from drivers.base.native_calls import NativeCalls
+from drivers.base.native import NativeCalls
 from drivers.can_bus import ERROR, FRAME
 from drivers.canopen.frames import (
     COMMAND,
@@ -138,13 +139,13 @@ class CanopenDriver:
         self.load = bus_load(self.settings, period, watchdog)
         """Maximum bus load as a share."""
         self._applied = PASSIVE
-        self._counts, self.clock, self._open_bus = counts_per_revolution, clock, open_bus
+        self._counts_per_revolution, self.clock, self._open_bus = counts_per_revolution, clock, open_bus
         self._link: FrameLink | None = None
         encoders, valve_node = self.settings.encoders, self.settings.valve_node
-        self._numbers = (*encoders.nodes, valve_node.node)
+        self._nodes = (*encoders.nodes, valve_node.node)
         self._roles = (*(f"encoder of the {joint}" for joint in JOINTS), "valves and interlocks")
         self._range = [counts_per_revolution] * 3
-        self.max_step = _MAX_STEP * period
+        self._max_step = _MAX_STEP * period
         """Max time that one tick adds to the time without frames, s."""
         self._sync = frame(SYNC)
         self._beat = frame(HEARTBEAT + self.settings.master, bytes([_OPERATIONAL]))
@@ -202,7 +203,7 @@ class CanopenDriver:
     def _forget(self) -> None:
         """Reset everything known about the bus."""
         self._time = -math.inf
-        self._count = [0, 0, 0]
+        self._counts = [0, 0, 0]
         self._sampled: list[float] = [ABSENT] * 3
         self._seen, self._faulty = [False] * 3, [False] * 3
         self._awaited = self._came = 0
@@ -291,14 +292,14 @@ class CanopenDriver:
         """Run the startup sequence."""
         nodes = [
             Node(number, role, self._put, self._next, self.clock, self.settings.sdo_timeout)
-            for number, role in zip(self._numbers, self._roles, strict=True)
+            for number, role in zip(self._nodes, self._roles, strict=True)
         ]
         for node in nodes:
             self._order(_ENTER_PRE_OPERATIONAL, node.number)
         valve_node = nodes[_VALVE_NODE]
         set_up_valve_node(valve_node, self.settings, self.watchdog)
         for joint in range(3):
-            self._range[joint] = set_up_encoder(nodes[joint], self.settings, self._counts)
+            self._range[joint] = set_up_encoder(nodes[joint], self.settings, self._counts_per_revolution)
             # An error that was already present is not reported again.
             self._faulty[joint] = nodes[joint].read(0x1001, 0, "error register") != 0
         # After the settings: a device may compute its offset from them.
@@ -333,7 +334,7 @@ class CanopenDriver:
             self._next(min(left, self._beat_period))
             self._put(self._passive_frame)  # the node's watchdog starts with the first command
             self._put(self._beat)
-        for number, role, state in zip(self._numbers, self._roles, self._states, strict=True):
+        for number, role, state in zip(self._nodes, self._roles, self._states, strict=True):
             if state != _OPERATIONAL:
                 found = "no heartbeat" if state < 0 else f"state {state} in its heartbeat"
                 raise DriverError(
@@ -357,7 +358,7 @@ class CanopenDriver:
         for joint in range(3):
             if self._awaited >> joint & 1:
                 raise DriverError(
-                    f"canopen: node {self._numbers[joint]} ({self._roles[joint]}), object "
+                    f"canopen: {self._name_of(joint)}, object "
                     f"{self.settings.encoders.position:04X}h in "
                     f"TPDO{self.settings.encoders.position_pdo - 0x17FF}: found no answer to SYNC within "
                     f"{self.settings.sdo_timeout:g} s, expected one; check that its SYNC identifier (1005h) "
@@ -371,8 +372,8 @@ class CanopenDriver:
         if self._link is not None:
             self.make_passive()
             with suppress(Exception):  # whatever the state of the bus
-                self._order(_STOP, self._numbers[_VALVE_NODE])
-                for number in self._numbers[:_VALVE_NODE]:
+                self._order(_STOP, self._nodes[_VALVE_NODE])
+                for number in self._nodes[:_VALVE_NODE]:
                     self._order(_ENTER_PRE_OPERATIONAL, number)
         self._detach()
         self._applied = PASSIVE
@@ -406,12 +407,8 @@ class CanopenDriver:
         link = self._link
         if link is None:
             raise DriverError("canopen driver: read() while closed; call open() first")
-        if not self._time <= time < math.inf:
-            raise DriverError(
-                f"canopen driver: read() at invalid time {time} s, expected finite and at least "
-                f"{self._time} s; pass CLOCK_MONOTONIC"
-            )
-        self._listened += min(time - self._time, self.max_step)
+        check_time(time, self._time, "canopen")
+        self._listened += min(time - self._time, self._max_step)
         self._time = time
         counters, clock = self._counters, self.clock
         try:
@@ -527,7 +524,7 @@ class CanopenDriver:
         s1, s2, s3 = self._spools
         return Readings(
             time,
-            (self._count[0], self._count[1], self._count[2]),
+            (self._counts[0], self._counts[1], self._counts[2]),
             (a, b, c),
             (seen[0] and not faulty[0], seen[1] and not faulty[1], seen[2] and not faulty[2]),
             (time - a, time - b, time - c),
@@ -556,7 +553,7 @@ class CanopenDriver:
         takers: dict[int, Callable[[bytes], None]] = {}
         for joint, number in enumerate(self.settings.encoders.nodes):
             takers[TPDO2 + number] = partial(self._take_position, joint)
-        for index, number in enumerate(self._numbers):
+        for index, number in enumerate(self._nodes):
             takers[HEARTBEAT + number] = partial(self._take_heartbeat, index)
             takers[EMERGENCY + number] = partial(self._take_emergency, index)
             takers[SDO_RESPONSE + number] = partial(self._take_answer, number)
@@ -612,7 +609,9 @@ class CanopenDriver:
             counters.late += 1
         position = int.from_bytes(data, "little")
         # A count outside the range is passed on: the bench rejects it as implausible.
-        self._count[joint] = position % self._counts if position < self._range[joint] else position
+        self._counts[joint] = (
+            position % self._counts_per_revolution if position < self._range[joint] else position
+        )
         self._sampled[joint], self._seen[joint] = self._sync_time, True
 
     def _take_inputs(self, data: bytes) -> None:
@@ -642,7 +641,7 @@ class CanopenDriver:
             return
         state = data[0] & 0x7F
         self._last_heard[index], self._states[index] = self._listened, state
-        who = f"node {self._numbers[index]} ({self._roles[index]})"
+        who = self._name_of(index)
         if state == _BOOT_UP:
             self._counters.boot_ups += 1
             self._note_fault(
@@ -663,7 +662,7 @@ class CanopenDriver:
         if index < _VALVE_NODE:
             self._faulty[index] = code != 0
         elif code:
-            who = f"node {self._numbers[index]} ({self._roles[index]})"
+            who = self._name_of(index)
             self._note_fault(f"{who} reports error {code:04X}h, register {data[2]:02X}h")
 
     def _take_answer(self, number: int, data: bytes) -> None:
@@ -681,6 +680,9 @@ class CanopenDriver:
             counters.overruns += bool(data[1] & _OVERFLOW)
             counters.error_passive += bool(data[1] & _PASSIVE_BUS)
 
+    def _name_of(self, index: int) -> str:
+        return f"node {self._nodes[index]} ({self._roles[index]})"
+
     def _note_fault(self, text: str) -> None:
         """Ignore commands from now on; keep the first reason."""
         if self._listening:
@@ -691,7 +693,7 @@ class CanopenDriver:
         now = self._listened
         if now - min(self._last_heard) > self._max_silence:
             index = self._last_heard.index(min(self._last_heard))
-            who = f"node {self._numbers[index]} ({self._roles[index]})"
+            who = self._name_of(index)
             self._note_fault(f"{who} has sent no heartbeat for {self._max_silence:g} s")
         if now - self._inputs_received > self._max_input_gap:
             self._note_fault("the interlocks have not been received for three of their periods")
@@ -716,7 +718,7 @@ class CanopenDriver:
             or self.clock is not wall.monotonic
         ):
             return
-        values = {field: getattr(self, name) for field, name in (SHARED | FIXED).items()}
+        values = {name: getattr(self, f"_{name}") for name in (*SHARED, *FIXED)}
         values |= {"sync": words_of(self._sync), "beat": words_of(self._beat), "applied": self._applied}
         values |= {"descriptor": link.descriptor, "echoed": link.echoed, "ahead": link.wall.ns}
         values["sync_timeout"] = self.settings.sync_timeout
@@ -727,8 +729,8 @@ class CanopenDriver:
         if not self._native.leads[0]:
             return
         values = self._native.load()
-        for field, name in SHARED.items():
-            setattr(self, name, values[field])
+        for name in SHARED:
+            setattr(self, f"_{name}", values[name])
         self._analogue |= values["analogue"]
         self._analogue_received, self._applied = values["analogue_received"], values["applied"]
         for name, count in values["counters"].items():

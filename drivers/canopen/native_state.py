@@ -8,7 +8,7 @@ from typing import Any
 import numba
 
 from drivers.base.compiled import new_record, numbers
-from drivers.base.native_calls import NativeCall, NativeCalls
+from drivers.base.native import NativeCall, NativeCalls
 from drivers.base.records import unpack_command
 from drivers.canopen.frames import ANALOGUE_IN_ONE, analogue_groups
 from drivers.canopen.native_tick import (
@@ -23,44 +23,25 @@ from drivers.canopen.native_tick import (
 )
 from drivers.canopen.settings import CanopenSettings
 
-SHARED = {
-    "time": "_time",
-    "listened": "_listened",
-    "sync_time": "_sync_time",
-    "awaited": "_awaited",
-    "came": "_came",
-    "in_time": "_in_time",
-    "owed": "_owed",
-    "counts": "_count",
-    "sampled": "_sampled",
-    "seen": "_seen",
-    "faulty": "_faulty",
-    "inputs": "_inputs",
-    "inputs_received": "_inputs_received",
-    "last_heard": "_last_heard",
-    "beaten": "_beaten",
-}
-"""Fields that compiled code changes, with the names of `CanopenDriver`."""
-FIXED = {
-    "nodes": "_numbers",
-    "counts_per_revolution": "_counts",
-    "range": "_range",
-    "input_bits": "_input_bits",
-    "vent_bits": "_vent_bits",
-    "shut_off_bit": "_shut_off_bit",
-    "output_bits": "_output_bits",
-    "valve_centre": "_valve_centre",
-    "valve_span": "_valve_span",
-    "zeros": "_zeros",
-    "scales": "_scales",
-    "believable": "_believable",
-    "max_step": "max_step",
-    "beat_period": "_beat_period",
-    "max_silence": "_max_silence",
-    "max_input_gap": "_max_input_gap",
-    "max_gaps": "_max_gaps",
-    "command_identifier": "_command_identifier",
-}
+SHARED = (
+    *("time", "listened", "sync_time", "awaited", "came", "in_time", "owed", "counts", "sampled", "seen"),
+    *("faulty", "inputs", "inputs_received", "last_heard", "beaten"),
+)
+"""Fields that compiled code changes; attributes of `CanopenDriver` of the same names, with an underscore."""
+FIXED = (
+    *("nodes", "counts_per_revolution", "range", "input_bits", "vent_bits", "shut_off_bit", "output_bits"),
+    *(
+        "valve_centre",
+        "valve_span",
+        "zeros",
+        "scales",
+        "believable",
+        "max_step",
+        "beat_period",
+        "max_silence",
+    ),
+    *("max_input_gap", "max_gaps", "command_identifier"),
+)
 """Fields that it only reads."""
 LOADED = (*SHARED, "waiting", "end", "receive_error", "send_error", "echoed", "ahead")
 

@@ -21,10 +21,19 @@ from numba import carray, types
 
 from drivers.base import ABSENT, INVALID
 from drivers.base.clocks import MAX_READ
-from drivers.base.compiled import compiled
-from drivers.base.native import compiled_call, limit_command
-from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL
-from drivers.base.raw_memory import copy_bytes, pointer
+from drivers.base.compiled import compiled, fields
+from drivers.base.native import (
+    CLOCK_REALTIME,
+    DECLINED,
+    DONE,
+    OPERATIONAL,
+    clock_now,
+    compiled_call,
+    copy_bytes,
+    limit_command,
+    monotonic_now,
+    pointer,
+)
 from drivers.base.records import COMMAND, READINGS
 from drivers.can_bus import FRAME
 from drivers.canopen.frames import (
@@ -71,36 +80,24 @@ _DONT_WAIT, _CONFIRM, _INTERRUPTED = 0x40, 0x800, errno.EINTR
 _NOTHING_THERE = errno.EAGAIN
 _READABLE = 1
 _SCM_TIMESTAMPNS = 35
-_REALTIME, _MONOTONIC = 0, 1
 _SECOND = 1_000_000_000
 
 LINK_STATE = np.dtype(
     [
-        ("leads", "i8"),
-        ("waiting", "i8"),
+        *fields("i8", "leads waiting"),
         ("end", "f8"),
-        ("at", "i8"),
-        ("count", "i8"),
-        ("receive_error", "i8"),
-        ("send_error", "i8"),
-        ("time", "f8"),
-        ("listened", "f8"),
-        ("sync_time", "f8"),
-        ("awaited", "i8"),
-        ("came", "i8"),
-        ("in_time", "i8"),
-        ("owed", "i8", (3,)),
-        ("counts", "i8", (3,)),
+        *fields("i8", "at count receive_error send_error"),
+        *fields("f8", "time listened sync_time"),
+        *fields("i8", "awaited came in_time"),
+        *fields("i8", "owed counts", (3,)),
         ("sampled", "f8", (3,)),
-        ("seen", "i8", (3,)),
-        ("faulty", "i8", (3,)),
+        *fields("i8", "seen faulty", (3,)),
         ("inputs", "i8"),
         ("inputs_received", "f8"),
         ("analogue", "f8", (13,)),
         ("analogue_received", "f8", (3,)),
         ("last_heard", "f8", (4,)),
-        ("beaten", "f8"),
-        ("echoed", "f8"),
+        *fields("f8", "beaten echoed"),
         ("ahead", "i8"),
         ("applied", COMMAND),
         ("counters", "i8", (len(COUNTED),)),
@@ -108,8 +105,7 @@ LINK_STATE = np.dtype(
         ("descriptor", "i8"),
         ("nodes", "i8", (4,)),
         ("counts_per_revolution", "i8"),
-        ("range", "i8", (3,)),
-        ("group_sizes", "i8", (3,)),
+        *fields("i8", "range group_sizes", (3,)),
         ("supply", "i8"),
         ("chambers", "i8", (6,)),
         ("spools", "i8", (3,)),
@@ -119,27 +115,19 @@ LINK_STATE = np.dtype(
         ("output_bits", "i8", (5,)),
         ("valve_centre", "f8", (3,)),
         ("valve_span", "f8"),
-        ("zeros", "f8", (3,)),
-        ("scales", "f8", (3,)),
+        *fields("f8", "zeros scales", (3,)),
         ("believable", "f8", (3, 2)),
-        ("max_step", "f8"),
-        ("sync_timeout", "f8"),
-        ("beat_period", "f8"),
-        ("max_silence", "f8"),
-        ("max_input_gap", "f8"),
+        *fields("f8", "max_step sync_timeout beat_period max_silence max_input_gap"),
         ("max_gaps", "f8", (3,)),
         ("command_identifier", "i8"),
         # Memory for the kernel
-        ("sync", "i8", (2,)),
-        ("beat", "i8", (2,)),
-        ("command", "i8", (2,)),
+        *fields("i8", "sync beat command", (2,)),
         ("frames", "i8", (2 * BATCH,)),
         ("headers", "i8", (_HEADER_WORDS * BATCH,)),
         ("vectors", "i8", (2 * BATCH,)),
         ("control", "i8", (_CONTROL_SIZE // 8 * BATCH,)),
         ("poll", "i8"),
-        ("left", "i8", (2,)),
-        ("clock", "i8", (2,)),
+        *fields("i8", "left clock", (2,)),
     ],
     align=True,
 )
@@ -164,7 +152,6 @@ _recvmmsg = types.ExternalFunction(
 _send = types.ExternalFunction("send", types.intp(types.intc, types.intp, types.uintp, types.intc))
 _ppoll = types.ExternalFunction("ppoll", types.intc(types.intp, types.uintp, types.intp, types.intp))
 _errno_location = types.ExternalFunction("__errno_location", types.intp())
-_clock_gettime = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.intp))
 
 
 def prepare(state: np.ndarray[Any, Any]) -> None:
@@ -201,14 +188,6 @@ def failure(number: int) -> OSError:
 
 
 @compiled
-def _now(block: int, clock: int) -> int:
-    """Return a clock of the kernel, ns."""
-    _clock_gettime(clock, block + _AT_CLOCK)
-    t = carray(pointer(block + _AT_CLOCK), 2, np.int64)
-    return t[0] * _SECOND + t[1]  # type: ignore[no-any-return]
-
-
-@compiled
 def _last_error() -> int:
     return int(carray(pointer(_errno_location()), 1, np.int32)[0])
 
@@ -236,7 +215,7 @@ def _wait(states: Any, block: int) -> int:
     """Receive a batch by `end`; return the number of its frames, 0 after the time, -1 on failure."""
     s = states[0]
     while True:
-        left = math.floor((s.end - _now(block, _MONOTONIC) / 1e9) * 1e9)
+        left = math.floor((s.end - monotonic_now(block + _AT_CLOCK) / 1e9) * 1e9)
         if left <= 0.0:
             return 0
         s.poll = s.descriptor | _READABLE << 32
@@ -259,7 +238,10 @@ def _wait(states: Any, block: int) -> int:
 def _note_echo(states: Any, block: int, k: int) -> None:
     """Note when the own SYNC, frame `k` of the batch, was transmitted, as `SocketcanLink` does."""
     s = states[0]
-    before, now, after = _now(block, _MONOTONIC), _now(block, _REALTIME), _now(block, _MONOTONIC)
+    scratch = block + _AT_CLOCK
+    before = monotonic_now(scratch)
+    now = clock_now(CLOCK_REALTIME, scratch)
+    after = monotonic_now(scratch)
     if after - before < MAX_READ:
         s.ahead = now - (before + after) // 2
     at = _CONTROL_SIZE // 8 * k
@@ -378,13 +360,13 @@ def _synchronise(states: Any, block: int) -> bool:
             s.counters[_MISSING] += 1
             s.owed[joint] = 0 if s.came >> joint & 1 else s.owed[joint] + 1
     s.awaited = 0
-    sent = _now(block, _MONOTONIC) / 1e9
+    sent = monotonic_now(block + _AT_CLOCK) / 1e9
     if _send(s.descriptor, block + _AT_SYNC, FRAME_SIZE, _DONT_WAIT) < 0:
         s.send_error = _last_error()
         return False
     s.counters[_SYNCS] += 1
     s.sync_time, s.awaited, s.came, s.in_time = sent, ALL, 0, 1
-    s.end, s.waiting = _now(block, _MONOTONIC) / 1e9 + s.sync_timeout, 1
+    s.end, s.waiting = monotonic_now(block + _AT_CLOCK) / 1e9 + s.sync_timeout, 1
     return True
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from drivers.base.ranges import Above, AtLeast, AtMost
+from drivers.base.ranges import Above, AtLeast, AtMost, check_wiring
 
 NodeNumber = Annotated[int, AtLeast(1), AtMost(127)]
 Number32 = Annotated[int, AtLeast(0), AtMost(0xFFFFFFFF)]
@@ -175,23 +175,7 @@ class CanopenSettings:
         for name, numbers in self._distinct():
             if len(set(numbers)) != len(numbers):
                 raise ValueError(f"{name}: different numbers, not {', '.join(map(str, numbers))}")
-        node = self.valve_node
-        for centre in node.centre:
-            if not node.span <= centre <= node.full_scale - node.span:
-                raise ValueError(
-                    f"valve_node.centre: the full stroke, {centre:g} V -+ {node.span:g} V, within 0 to "
-                    f"{node.full_scale:g} V"
-                )
-        if node.pressure_at_full_scale <= node.pressure_at_zero:
-            raise ValueError("valve_node.pressure_at_full_scale: more than pressure_at_zero")
-        if node.pressure_at_zero >= node.lowest_pressure:
-            raise ValueError(
-                "valve_node.lowest_pressure: more than pressure_at_zero, which a cut cable reads"
-            )
-        if node.pressure_at_full_scale <= node.highest_pressure:
-            raise ValueError(
-                "valve_node.highest_pressure: less than pressure_at_full_scale, which a short circuit reads"
-            )
+        check_wiring(self.valve_node, "valve_node.", self.valve_node.full_scale)
 
     def _distinct(self) -> Iterator[tuple[str, list[int]]]:
         node = self.valve_node

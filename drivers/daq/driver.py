@@ -35,6 +35,8 @@ from drivers.base import (
     DriverError,
     Readings,
     believed,
+    check_open,
+    check_time,
     device_limited,
 )
 from drivers.daq.settings import DaqSettings
@@ -326,13 +328,8 @@ class DaqDriver:
         Raises:
             DriverError: not open, or `time` is not finite or earlier than the last.
         """
-        if not self._is_open:
-            raise DriverError("daq driver: read() while closed; call open() first")
-        if not self._time <= time < math.inf:
-            raise DriverError(
-                f"daq driver: read() at invalid time {time} s, expected finite and at least {self._time} s; "
-                "pass CLOCK_MONOTONIC"
-            )
+        check_open(self._is_open, "daq", "read")
+        check_time(time, self._time, "daq")
         self._time = time
         try:
             self._read_counters(time)
@@ -352,8 +349,7 @@ class DaqDriver:
         Raises:
             DriverError: not open.
         """
-        if not self._is_open:
-            raise DriverError("daq driver: write() while closed; call open() first")
+        check_open(self._is_open, "daq", "write")
         applied = PASSIVE if self.fault else device_limited(command)
         if self._beat >= 0 and not self.fault:
             self._lines[self._beat] ^= True

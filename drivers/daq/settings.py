@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from drivers.base.ranges import Above, AtLeast, AtMost
+from drivers.base.ranges import Above, AtLeast, AtMost, check_wiring
 
 Volts = Annotated[float, AtLeast(0.0), AtMost(10.0)]
 
@@ -109,19 +109,7 @@ class DaqSettings:
         for name, used in self._distinct():
             if len(set(used)) != len(used):
                 raise ValueError(f"{name}: different channels, not {', '.join(used)}")
-        for centre in self.centre:
-            if not self.span <= centre <= 10.0 - self.span:
-                raise ValueError(
-                    f"centre: the full stroke, {centre:g} V -+ {self.span:g} V, within 0 to 10 V"
-                )
-        if self.pressure_at_full_scale <= self.pressure_at_zero:
-            raise ValueError("pressure_at_full_scale: more than pressure_at_zero")
-        if self.pressure_at_zero >= self.lowest_pressure:
-            raise ValueError("lowest_pressure: more than pressure_at_zero, which a cut cable reads")
-        if self.pressure_at_full_scale <= self.highest_pressure:
-            raise ValueError(
-                "highest_pressure: less than pressure_at_full_scale, which a short circuit reads"
-            )
+        check_wiring(self, "", 10.0)
         if bool(self.watchdog_relay) != bool(self.watchdog_line):
             raise ValueError("watchdog_relay and watchdog_line: both or none; the line feeds the relay")
 

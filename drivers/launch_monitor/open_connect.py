@@ -5,7 +5,7 @@ underscores in names, `BackSpin` and `SideSpin` instead of `TotalSpin` and `Spin
 or 0 for values that were not measured: 0 rpm, no carry, 0 degrees of loft, a strike of exactly 0 in both
 directions, and every club figure of 0 where the club has no speed or all others are 0. A ball of speed 0 is
 no ball: the message is one of the club, or of the status if all are 0 and the monitor is ready and sees a
-ball. Fields of known devices that hold something else are ignored, see `drivers.launch_monitor.quirks`.
+ball. Fields of known devices that hold something else are ignored, see `quirks.toml`.
 Speeds are mph whatever `Units` says; `CarryDistance` is in yards without `Units`, and absent with one that
 is unknown. Angles keep their signs: `HLA`, `SpinAxis` and `SideSpin` are positive to the right.
 """
@@ -14,12 +14,14 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Mapping
+from functools import cache
 from math import atan2, cos, degrees, hypot, isfinite, pi, radians, sin
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from drivers.base import Launch
-from drivers.launch_monitor.quirks import MonitorQuirk, quirk_of
 from drivers.launch_monitor.record import NO_CLUB, ClubFigures, ClubRecord, LaunchRecord
 
 MPH = 0.44704
@@ -301,6 +303,40 @@ def _options(*, ball: bool = False, club: bool = False, heartbeat: bool = False)
         "LaunchMonitorBallDetected": ball,
         "IsHeartBeat": heartbeat,
     }
+
+
+# Known monitors ----------------------------------------------------------------------------------
+
+_QUIRKS_FILE = Path(__file__).with_name("quirks.toml")
+
+
+class MonitorQuirk(NamedTuple):
+    """A family of known monitors whose fields hold something else than their names say."""
+
+    name: str
+    devices: tuple[str, ...]
+    """Device names as they send them."""
+    ignore: frozenset[str]
+    """Fields without a measurement, in lower case."""
+    reason: str
+    source: str
+    """Repository, commit and file."""
+
+
+@cache
+def quirks() -> Mapping[str, MonitorQuirk]:
+    """Return the quirks by device name in lower case."""
+    found: dict[str, MonitorQuirk] = {}
+    for name, entry in tomllib.loads(_QUIRKS_FILE.read_text(encoding="utf-8-sig")).items():
+        ignore = frozenset(field.lower() for field in entry["ignore"])
+        quirk = MonitorQuirk(name, tuple(entry["names"]), ignore, entry["reason"], entry["source"])
+        found |= {device.lower(): quirk for device in quirk.devices}
+    return found
+
+
+def quirk_of(device: str) -> MonitorQuirk | None:
+    """Return the quirk of the monitor that calls itself `device`; None if it has none."""
+    return quirks().get(device.strip().lower())
 
 
 # Answers -----------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ from ipaddress import ip_address
 from typing import Annotated, Literal
 
 from drivers.base.ranges import AtLeast, AtMost
-from drivers.launch_monitor.matching import MatchWindow
 from drivers.launch_monitor.open_connect import CLUB_CODE
+from drivers.launch_monitor.record import MatchWindow
 
 Port = Annotated[int, AtLeast(1), AtMost(65535)]
 

@@ -15,16 +15,12 @@ from numba import carray
 from drivers.base import Command, DriverError, Readings
 from drivers.base.compiled import new_record, numbers
 from drivers.base.compiled_slots import newest_record, slots_at
-from drivers.base.native import compiled_call
-from drivers.base.native_calls import DECLINED, NativeCall, NativeCalls
-from drivers.base.raw_memory import copy_bytes, pointer
+from drivers.base.native import DECLINED, NativeCall, NativeCalls, compiled_call, copy_bytes, pointer
 from drivers.base.records import READINGS, unpack_readings
-from drivers.base.shared_record import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 from sim.driver import SimDriver, read_plant, write_plant
 from sim.faults import Fault
-from sim.live.exchange import CONTACT, PLANT_REPORT, PLANT_SURROUNDINGS
-from sim.live.handled_plant import HandledPlant
-from sim.live.plant_files import PlantFiles
+from sim.live.exchange import CONTACT, PLANT_REPORT, PLANT_SURROUNDINGS, HandledPlant, PlantFiles
 from sim.plant import PLANT_STATE, PlantParameters
 
 _SIZE = READINGS.itemsize
@@ -90,7 +86,7 @@ class PacedPlantDriver:
             self._driver.close()
             raise DriverError(f"sim driver: {error}") from error
         self._memory[_SURROUNDED] = 0
-        self._block[_SURROUNDINGS] = self._files.surroundings.block.ctypes.data
+        self._block[_SURROUNDINGS] = self._files.surroundings.slots.block.ctypes.data
 
     def read(self, time: float) -> Readings:
         """Advance the plant to `time` (s), report a struck ball, return the readings.
@@ -108,7 +104,7 @@ class PacedPlantDriver:
             DriverError: not open, or `time` is not finite or earlier than the last.
         """
         memory = self._memory
-        if self._files is not None and self._files.surroundings.newest != memory[_SURROUNDED]:
+        if self._files is not None and self._files.surroundings.slots.head != memory[_SURROUNDED]:
             memory[_SURROUNDED] = self._files.surroundings.read(self._surroundings)
             self._handled.set_surroundings(self._surroundings)
             memory[_FROZEN] = self._handled.frozen

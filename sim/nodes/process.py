@@ -3,7 +3,7 @@
 Three encoders (CiA 406) and a node of valves and interlocks (CiA 401) as described by their EDS files. A SYNC
 samples the shafts at that instant: the plant's last tick, extrapolated with its speed. Frames that waited
 while this process stood still are taken at their own time, the plant's ticks in between. Operator actions and
-faults come from `sim.live.surroundings`; the plant reports as in `sim.live.exchange`.
+faults come from `sim.live.exchange`; the plant reports as in `sim.live.exchange`.
 
 `python -m sim.nodes.process` takes a pickled NodesPlan on stdin and reports "ready", "failed" or "stopped"
 as a JSON line on stdout. It ends on SIGTERM, or when its parent is gone.
@@ -20,8 +20,8 @@ import pickle
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,15 +35,11 @@ from drivers.base import Command
 from drivers.base.clocks import WallOffset
 from drivers.base.compiled import new_record
 from drivers.base.records import unpack_readings
-from drivers.base.shared_record import SharedMemoryError
-from sim.live.exchange import PLANT_SURROUNDINGS
-from sim.live.plant_files import PlantFiles
+from drivers.base.shared_memory import SharedMemoryError
+from sim.live.exchange import PLANT_SURROUNDINGS, PlantFiles, undisturbed
 from sim.nodes.device import OPERATIONAL, SYNC, CanopenDevice
-from sim.nodes.encoder import EncoderNode
-from sim.nodes.plan import NodesPlan
-from sim.nodes.valves import ValveNode401
-from sim.nodes.wall_grid import WallGrid
-from sim.nodes.wall_plant import WallPlant
+from sim.nodes.profile_nodes import EncoderNode, ValveNode401
+from sim.nodes.wall_plant import NodesPlan, WallGrid, WallPlant
 
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "canopen"
 """Folder of the EDS files."""
@@ -244,7 +240,7 @@ def run_nodes(plan: NodesPlan, ready: Callable[[str], None], stop_requested: Cal
         SharedMemoryError, ValueError: the plant's files cannot be created, or the plan is invalid.
     """
     _warm_up(plan)
-    with PlantFiles(plan.folder) as files, _open_bus(plan) as bus:
+    with PlantFiles(plan.folder) as files, closing(NodeBus(plan)) as bus:
         nodes = BenchNodes(plan, bus.send)
         scheduling = _ask_for_scheduling(plan)
         gc.collect()
@@ -280,29 +276,14 @@ def _ask_for_scheduling(plan: NodesPlan) -> str:
     return ", ".join(granted)
 
 
-@contextmanager
-def _open_bus(plan: NodesPlan) -> Iterator[NodeBus]:
-    bus = NodeBus(plan)
-    try:
-        yield bus
-    finally:
-        bus.close()
-
-
 def _warm_up(plan: NodesPlan) -> None:
     """Call every function of a tick once, on nodes without a bus."""
     nodes = BenchNodes(plan, lambda identifier, data: None)
     nodes.boot(0.0)
-    nodes.set_surroundings(_undisturbed(new_record(PLANT_SURROUNDINGS)))
+    nodes.set_surroundings(undisturbed())
     for tick in (1, 2):
         nodes.move(tick * plan.plant.tick)
         nodes.update_report()
-
-
-def _undisturbed(surroundings: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    for name in ("emergency_stop_clear", "guard_closed", "encoder_valid"):
-        surroundings[name] = 1
-    return surroundings
 
 
 def _live(

@@ -1,17 +1,20 @@
-"""The plant behind the nodes, with its surroundings, advanced tick by tick at given times."""
+"""The plant behind the nodes: its plan, its surroundings, and its ticks at given wall-clock times."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
+from math import ceil, floor, inf
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drivers.base import PASSIVE
+from drivers.base import PASSIVE, Triple
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, pack_command
 from sim.driver import hanging_pose
 from sim.faults import (
+    Fault,
     Faults,
     break_parts,
     deliver_command,
@@ -20,11 +23,72 @@ from sim.faults import (
     notice_onsets,
     own_records,
 )
-from sim.live.exchange import CONTACT, PLANT_REPORT
-from sim.live.handled_plant import HandledPlant
-from sim.nodes.plan import NodesPlan
-from sim.plant import advance, build_plant, initial_state, sense
-from sim.truth import note_truth
+from sim.live.exchange import CONTACT, PLANT_REPORT, HandledPlant
+from sim.nodes.personality import Personality
+from sim.plant import PlantParameters, advance, build_plant, initial_state
+from sim.sensors import note_truth, sense
+
+
+@dataclass(frozen=True)
+class NodesPlan:
+    """Parameters of the process."""
+
+    interface: str
+    """python-can interface name."""
+    channel: str
+    bitrate: int
+    encoders: tuple[int, int, int]
+    """Node numbers in the order of the joints."""
+    valve_node: int
+    plant: PlantParameters
+    folder: Path
+    """Folder of the plant's shared records, see `sim.live.exchange`."""
+    angle: Triple | None = None
+    """Joint angles at the start, rad; None for the hanging pose."""
+    priority: int = 0
+    """Requested SCHED_FIFO priority; 0 for none."""
+    cpu: int = -1
+    """Processor core; -1 for any."""
+    max_catch_up: int = 25
+    """Max plant ticks caught up at once after a stall: more than a valve node's watchdog time."""
+    faults: tuple[Fault, ...] = ()
+    """Faults; no onset by phase."""
+    encoder_personality: Personality | None = None
+    """Device family that all encoders play; None for the plain one of the EDS file."""
+    io_personality: Personality | None = None
+    """Device family that the valve node plays; None for the plain one of the EDS file."""
+
+
+class WallGrid:
+    """The multiples of `period` (s) on a clock that is given, from the first one not before `now` on.
+
+    Nothing is ever due before its instant.
+    """
+
+    def __init__(self, period: float, now: float, max_catch_up: int) -> None:
+        self.period, self.max_catch_up = period, max_catch_up
+        self.line = ceil(now / period)
+        """Number of the next tick; due at this multiple of the period."""
+        self.slips = 0
+        self.slipped_ticks = 0
+
+    @property
+    def instant(self) -> float:
+        """Time at which the next tick is due, s."""
+        return self.line * self.period
+
+    def take_due(self, now: float) -> int:
+        """Return how many ticks are due at `now` (s), 0 … burst, after skipping those too late.
+
+        The caller executes them and adds one to `line` for each.
+        """
+        due = floor(now / self.period) - self.line + 1
+        if due > self.max_catch_up:
+            self.slips += 1
+            self.slipped_ticks += due - self.max_catch_up
+            self.line += due - self.max_catch_up
+            return self.max_catch_up
+        return max(due, 0)
 
 
 class WallPlant:
@@ -46,7 +110,7 @@ class WallPlant:
         self.faults: Faults | None = None
         if plan.faults:
             self.plant = own_records(self.plant)
-            self.faults = new_faults(plan.faults, self.plant, watchdog=math.inf, seed=plan.plant.seed)
+            self.faults = new_faults(plan.faults, self.plant, watchdog=inf, seed=plan.plant.seed)
         self.link_up = True
         """Whether commands are received in this tick."""
         self.state = initial_state(self.plant, angle)

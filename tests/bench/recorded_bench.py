@@ -24,7 +24,7 @@ from bench.supervisor.tick_timing import create_timing
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 Cycles = np.ndarray[Any, Any]
 HURRY = 10.0

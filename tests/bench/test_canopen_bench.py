@@ -29,7 +29,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import PASSIVE, Command
 from drivers.base.records import unpack_command
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 from drivers.can_bus import switch
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from tests.drivers.canopen.frame_classes import CLASSES

@@ -37,7 +37,7 @@ from bench.network.lease import MAX_SECONDS
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import HEARTBEAT, RING_FILE
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 from tests.benchmarks.process_samples import (
     Growth,
     ProcessFigures,

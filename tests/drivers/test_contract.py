@@ -18,14 +18,14 @@ from hypothesis import strategies as st
 from drivers.base import PASSIVE, Command, Driver, DriverError, Readings
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS, pack_readings, unpack_command
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
 from drivers.daq.driver import DaqDriver
 from drivers.mock import MockDriver
 from sim.driver import SimDriver
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
-from sim.nodes.plan import NodesPlan
+from sim.nodes.wall_plant import NodesPlan
 from sim.plant import PlantParameters
 from tests.drivers.canopen.in_step import Wire, make
 from tests.drivers.daq.system import System, command_of, driver_on

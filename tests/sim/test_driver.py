@@ -16,7 +16,7 @@ from drivers.base.records import COMMAND, READINGS, pack_command, pack_readings
 from sim.driver import SimDriver, hanging_pose
 from sim.kane import bias_forces
 from sim.plant import Encoders, PlantParameters, advance, build_plant, initial_state
-from sim.truth import contact_in
+from sim.sensors import contact_in
 
 START = (0.2, 4.3, 6.0)
 POWERED = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sim.friction import friction_bound, friction_impulse
+from sim.dynamics import friction_bound, friction_impulse
 from sim.kane import mass_matrix
 from sim.robot import thesis_robot
 

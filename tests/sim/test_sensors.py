@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, READINGS
-from sim.plant import Encoders, Plant, PlantParameters, advance, build_plant, initial_state, sense
+from sim.plant import Encoders, Plant, PlantParameters, advance, build_plant, initial_state
+from sim.sensors import sense
 
 POSE = np.array([0.2, 4.3, 6.0])
 SAMPLES = 100 if numba.config.DISABLE_JIT else 4000

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.turf import Turf, bounce, restitution, roll, slip_velocity
+from sim.ground import Turf, bounce, restitution, roll, slip_velocity
 from sim.vectors import Vector, dot
 
 RADIUS = 0.021335

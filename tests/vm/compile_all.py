@@ -16,8 +16,8 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.canopen.driver import CanopenDriver
 from drivers.mock import MockDriver
-from sim.nodes.plan import NodesPlan
 from sim.nodes.process import run_nodes
+from sim.nodes.wall_plant import NodesPlan
 
 
 def main() -> None:

@@ -35,9 +35,8 @@ from bench.supervisor.ownership import bench_folder
 from bench.supervisor.timing_record import TimingReader
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
-from drivers.base.shared_record import SharedRecord
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE
-from sim.live.surroundings import SurroundingsWriter
+from drivers.base.shared_memory import SharedRecord
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE, SurroundingsWriter
 from tests.vm.guest import CARDS, CONFIGURATIONS, NODES_FOLDER, SYSTEM, UNITS, configuration, run, say
 
 UNIT = "golfbench@bench1"

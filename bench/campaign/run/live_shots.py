@@ -53,11 +53,11 @@ from bench.supervisor.readiness import mechanically_equal, with_face_of
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from drivers.base import Launch
-from drivers.base.shared_record import SharedMemoryError
-from sim.air import Air
+from drivers.base.shared_memory import SharedMemoryError
+from sim.aerodynamics import Air
 from sim.ball import Ball
 from sim.impact import Delivery, strike
-from sim.live.surroundings import SurroundingsWriter
+from sim.live.exchange import SurroundingsWriter
 from sim.plant import PlantParameters
 from sim.robot import Club
 

@@ -32,9 +32,8 @@ from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingRe
 from bench.swing.library import find_profile
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
-from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
-from drivers.launch_monitor.record import LaunchRecord
-from sim.air import Air
+from drivers.launch_monitor.record import LaunchRecord, Match, MatchOutcome, MatchWindow, SwingImpact, match
+from sim.aerodynamics import Air
 from sim.ball import Ball
 from sim.flight import fly
 from sim.impact import Delivery

@@ -47,8 +47,6 @@ Ghost = Annotated[float, _share("balls followed by a ghost ball")]
 Club = Annotated[bool, flag("--club", "Also send club speed and attack angle.")]
 Noise = Annotated[float, option("Noise relative to the default; 0: none.", "FACTOR", low=0.0, high=10.0)]
 Delay = Annotated[float, option("Delay from impact to message.", "S", low=0.0, high=30.0)]
-Pieces = Annotated[bool, flag("--pieces", "Send messages in pieces.")]
-TextNumbers = Annotated[bool, flag("--text", "Send numbers as text, and spin as components.")]
 Folder = Annotated[
     Path | None,
     option("Folder of the plant's shared records (golfbench nodes --folder).", "DIR", shown="the bench's"),
@@ -68,8 +66,6 @@ def launch_monitor(
     club: Club = False,
     noise: Noise = 1.0,
     delay: Delay = 0.6,
-    pieces: Pieces = False,
-    text: TextNumbers = False,
     folder: Folder = None,
 ) -> None:
     """Simulate a launch monitor for a simulated bench until Ctrl-C or SIGTERM.
@@ -98,8 +94,6 @@ def launch_monitor(
         no_spin=no_spin,
         club=club,
         ghost=ghost,
-        pieces=pieces,
-        text_numbers=text,
         seed=seed,
     )
     settings = c.launch_monitor
@@ -130,9 +124,9 @@ def play(
         NoPlant: the plant there is of other code.
     """
     from drivers.base import Launch
-    from drivers.base.shared_record import SharedMemoryError
+    from drivers.base.shared_memory import SharedMemoryError
     from sim.launch_monitor import ClubMotion, SimulatedMonitor
-    from sim.live.contact_monitor import ContactMonitor, warm_up
+    from sim.live.exchange import ContactMonitor, warm_up
 
     warm_up()
     _carry(Launch(60.0, 0.2, 0.0, 250.0, 0.0), folder, plant, around)
@@ -172,9 +166,9 @@ def play(
 
 def _carry(launch: Launch, folder: Path, plant: PlantParameters, around: FlightConditions) -> float | None:
     """Return the carry of the ball on the plant's tee with `launch`, None if it does not fly."""
-    from drivers.base.shared_record import SharedMemoryError
+    from drivers.base.shared_memory import SharedMemoryError
     from sim.flight import fly
-    from sim.live.surroundings import chosen_ball
+    from sim.live.exchange import chosen_ball
 
     try:
         ball = chosen_ball(folder) or plant.ball

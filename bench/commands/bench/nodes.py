@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bench.records.telemetry.encoder_preset import CalibratedShifts
     from drivers.canopen.scan import ScannedNode
     from sim.nodes.personality import Personality
-    from sim.nodes.plan import NodesPlan
+    from sim.nodes.wall_plant import NodesPlan
 
 
 class NoBus(BenchError):
@@ -42,7 +42,7 @@ def nodes_plan(configuration: Configuration, folder: Path, encoder: str = "", io
     """
     from bench.config import unheard_phases
     from sim.nodes.personality import ENCODER, IO
-    from sim.nodes.plan import NodesPlan
+    from sim.nodes.wall_plant import NodesPlan
 
     if mistakes := unheard_phases(configuration):
         raise ExceptionGroup("invalid configuration", mistakes)
@@ -163,7 +163,7 @@ def act_at(folder: Path | None, key: str) -> None:
 
 def _at_nodes(folder: Path | None, location: str, act: Callable[[Path], None]) -> None:
     """Do `act` at the simulated nodes with their files in `folder`; raises Refused where none are."""
-    from drivers.base.shared_record import SharedMemoryError
+    from drivers.base.shared_memory import SharedMemoryError
 
     if folder is None:
         raise Refused(location, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
@@ -236,7 +236,7 @@ def play(plan: NodesPlan) -> None:
     """
     import can
 
-    from drivers.base.shared_record import SharedMemoryError
+    from drivers.base.shared_memory import SharedMemoryError
     from sim.nodes.process import StopRequest, run_nodes
 
     typer.echo("starting", err=True)

@@ -42,7 +42,7 @@ from bench.supervisor.ownership import Ownership, adopt
 from bench.supervisor.real_time import real_time
 from bench.swing.profile import Profile
 from drivers.base import Command, DriverError, Readings
-from drivers.base.shared_record import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 from drivers.canopen.frames import MAX_LOAD, bus_load
 
 _PRESSURE_TICKS = 2

@@ -1,6 +1,6 @@
 """Matching of swings and launches of a running bench: pure, time is an argument.
 
-A launch finds its swing by time (`drivers.launch_monitor.matching`); a match gives a shot with the
+A launch finds its swing by time (`drivers.launch_monitor.record`); a match gives a shot with the
 club measured by the encoders and the ball by the monitor. Its flight is the reference ball's.
 """
 
@@ -21,16 +21,18 @@ from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.shot.strike import ball_struck
 from bench.records.telemetry.swing_metadata import shot_id
 from drivers.launch_monitor.conversation import add_doubts
-from drivers.launch_monitor.matching import (
+from drivers.launch_monitor.record import (
+    ClubRecord,
+    LaunchRecord,
     Match,
     MatchOutcome,
     MatchWindow,
+    RefusedRecord,
     SwingImpact,
     join_clubs,
     match,
     owner_of,
 )
-from drivers.launch_monitor.record import ClubRecord, LaunchRecord, RefusedRecord
 from sim.ball import REFERENCE_BALL
 from sim.flight import Flight, fly
 from sim.plant import PlantParameters

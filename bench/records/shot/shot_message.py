@@ -16,8 +16,7 @@ from bench.base.errors import BenchError
 from bench.base.json_schema import json_object, require_fit
 from bench.base.lifecycle import Cause
 from bench.records.shot.shot import Shot
-from drivers.launch_monitor.matching import MatchOutcome
-from drivers.launch_monitor.record import ClubFigures, LaunchRecord
+from drivers.launch_monitor.record import ClubFigures, LaunchRecord, MatchOutcome
 
 SHOT_VERSION = 1
 

@@ -1,6 +1,6 @@
 """The ring of cycle records between the loop and the processes that read it.
 
-One writer, any readers, records numbered from 1 on (`drivers.base.mapped_slots`). The writer never waits: a
+One writer, any readers, records numbered from 1 on (`drivers.base.shared_memory`). The writer never waits: a
 reader too slow loses the oldest records, counts them, and continues with the oldest still there.
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.records.telemetry.cycle_record import CYCLE
-from drivers.base.mapped_slots import MappedSlots, SharedMemoryError
-from drivers.base.native_calls import NativeCall
+from drivers.base.native import NativeCall
+from drivers.base.shared_memory import MappedSlots, SharedMemoryError
 
 CAPACITY = 16384
 """Min number of records."""

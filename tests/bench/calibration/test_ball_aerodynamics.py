@@ -25,10 +25,10 @@ from bench.calibration.ball_aerodynamics import (
 from bench.calibration.flight_table import read_flights
 from bench.config import database_url
 from bench.store.database import open_database
-from sim.air import Air
+from sim.aerodynamics import Air
 from sim.ball import Ball
 from sim.flight import Launch, Wind, fly
-from sim.turf import Turf
+from sim.ground import Turf
 
 MASS, RADIUS = 0.04593, 0.021335
 NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)

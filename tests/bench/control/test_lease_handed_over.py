@@ -11,7 +11,7 @@ import pytest
 from bench.base.lifecycle import Phase, Reaction, Request, State
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 from tests.bench.control.operating import on_the_way, reach
 from tests.bench.control.puppet import Puppet
 

@@ -36,8 +36,7 @@ from bench.store.records import CampaignState
 from bench.supervisor.launch_monitor import message_of
 from bench.supervisor.tick_timing import new_timing
 from bench.supervisor.timing_record import summary
-from drivers.launch_monitor.matching import MatchOutcome
-from drivers.launch_monitor.record import ClubFigures, LaunchRecord
+from drivers.launch_monitor.record import ClubFigures, LaunchRecord, MatchOutcome
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

@@ -20,7 +20,7 @@ from bench.supervisor.correction import (
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 PROFILE = load_profile(find_profile("default"))
 BASIS = basis_of(PROFILE)

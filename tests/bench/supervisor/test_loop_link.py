@@ -19,7 +19,7 @@ from bench.supervisor.correction import CORRECTED, CORRECTED_FILE
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.supervision import SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 
 class AnsweringLoop:

@@ -29,7 +29,7 @@ from bench.records.telemetry.ring import RingWriter
 from bench.supervisor.child_process import HEARTBEAT, Condition, heartbeat_file
 from bench.supervisor.publisher import Publisher, PublisherPlan
 from bench.supervisor.tick_timing import TickTiming, create_timing
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 pytestmark = pytest.mark.live
 

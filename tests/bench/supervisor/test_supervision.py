@@ -10,7 +10,7 @@ from bench.base.lifecycle import Request
 from bench.control.step_records import CONTROL_STATE
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 SILENCE = 0.25
 

@@ -34,7 +34,7 @@ from bench.supervisor.timing_record import (
     summary,
     upper_edges,
 )
-from drivers.base.mapped_slots import SharedMemoryError
+from drivers.base.shared_memory import SharedMemoryError
 
 PERIOD = 1_000_000
 SHARES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "max_us": 1.0}

@@ -6,10 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numba
 import pytest
+
+from drivers.base import compiled
+from drivers.base.compiled import CompileProgress, announce_compilation
 
 TOP = Path(__file__).parents[3]
 
@@ -115,3 +119,37 @@ def test_compiled_call_old_or_unreadable_cache_recompiles(copy: Path) -> None:
     for kept in (copy / "cache").rglob("*sum_of*"):
         kept.write_bytes(b"")
     assert printed(copy, CALL) == "188\n"
+
+
+@pytest.fixture
+def heard(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    monkeypatch.setattr(compiled, "_report", str)
+    lines: list[str] = []
+    announce_compilation(lines.append)
+    return lines
+
+
+def _times(*times: float) -> Iterator[float]:
+    yield from times
+
+
+def test_compile_progress_long_compilation_reports_periodically(
+    heard: list[str],
+) -> None:
+    times = _times(100.0, 100.5, 101.5, 103.0, 104.1)
+    progress = CompileProgress(lambda: next(times))
+    progress.known = 180
+    for done in (None, None, "a function", "a function", "another"):
+        progress.note(done)
+    assert heard == [
+        "compiling, once for each version: 1 of at most 180 functions, 2 s",
+        "compiling, once for each version: 2 of at most 180 functions, 4 s",
+    ]
+
+
+def test_compile_progress_below_1_s_reports_nothing(heard: list[str]) -> None:
+    times = _times(100.0, 100.9)
+    progress = CompileProgress(lambda: next(times))
+    progress.note()
+    progress.note("a function")
+    assert heard == []

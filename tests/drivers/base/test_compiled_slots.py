@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.base.compiled_slots import copy_words, fetch_record, newest_record, put_native, put_record
-from drivers.base.mapped_slots import MappedSlots
+from drivers.base.shared_memory import MappedSlots
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="addresses are for compiled code only")
 

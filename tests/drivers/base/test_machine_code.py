@@ -73,7 +73,6 @@ def test_compiled_sources_contain_all_imported_files() -> None:
     assert {
         "bench/base/lifecycle.py",
         "bench/records/telemetry/cycle_record.py",
-        "drivers/base/contract.py",
         "drivers/base/__init__.py",
         "bench/control/settings.py",
     } <= paths.keys()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.base.shared_record import SharedMemoryError, SharedRecord
+from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 
 VALUE = np.dtype([("number", "i8"), ("words", "f8", (5,)), ("flag", "?")], align=True)
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 pytestmark = pytest.mark.live
 
@@ -36,7 +36,7 @@ WRITERS = """
 import os, sys
 from pathlib import Path
 import numpy as np
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 path, words = Path(sys.argv[1]), int(sys.argv[2])
 dtype = np.dtype([("words", "u8", (words,))])
@@ -45,7 +45,7 @@ for _ in sys.stdin:
     pid = os.fork()
     if pid == 0:
         record, shared = np.zeros(1, dtype), SharedRecord.open(path, dtype)
-        number = shared._slots._last_written()
+        number = shared.slots._last_written()
         content = record["words"][0]
         while True:
             number += 1
@@ -146,7 +146,7 @@ def pauses() -> Iterator[float]:
 
 def in_the_middle_of_a_write(check: Check) -> bool:
     """Return whether the writer, now stopped, has an unfinished write."""
-    slots = check.shared._slots
+    slots = check.shared.slots
     word = (128 + (slots.head + 1) % slots.slots * slots._stride) >> 3
     return slots._words[word] == slots.head + 1 != slots._words[word + slots._end]
 
@@ -170,7 +170,7 @@ def test_shared_record_writer_stopped_mid_write_reader_continues(record: tuple[W
         os.kill(writers.pid, signal.SIGSTOP)
         wait_until_stopped(writers.pid)
         middles += in_the_middle_of_a_write(check)
-        newest = check.shared._slots.head
+        newest = check.shared.slots.head
         assert check.read() == check.read() == newest
         os.kill(writers.pid, signal.SIGCONT)
         check.wait_beyond(newest)
@@ -188,7 +188,7 @@ def test_shared_record_writer_killed_mid_write_next_writer_continues(
         time.sleep(pause)
         writers.kill()
         middles += in_the_middle_of_a_write(check)
-        newest = check.shared._slots.head
+        newest = check.shared.slots.head
         assert check.read() == newest
         late = Check(tmp_path / "record", LARGE)
         assert late.read() == newest, "also for a reader that comes only now"

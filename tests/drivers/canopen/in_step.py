@@ -17,8 +17,8 @@ from drivers.can_bus import FRAME
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
 from sim.nodes.device import CanopenDevice
-from sim.nodes.plan import NodesPlan
 from sim.nodes.process import BenchNodes
+from sim.nodes.wall_plant import NodesPlan
 from sim.plant import PlantParameters
 
 PERIOD = 0.001

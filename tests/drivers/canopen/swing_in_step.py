@@ -20,7 +20,7 @@ from bench.swing.profile import load_profile
 from drivers.base import Driver, DriverError
 from drivers.canopen.settings import CanopenSettings
 from sim.driver import SimDriver, hanging_pose
-from sim.truth import note_truth
+from sim.sensors import note_truth
 from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan
 
 LONGEST = 20_000

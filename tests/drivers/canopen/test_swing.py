@@ -11,7 +11,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Phase, Reaction
 from bench.config import Configuration
-from sim.truth import Contact, contact_in
+from sim.sensors import Contact, contact_in
 from tests.benchmarks.canopen_reactions import FAULTS, run_case
 from tests.drivers.canopen.in_step import WITH_SPOOLS
 from tests.drivers.canopen.swing_in_step import SwingBench, on_canopen, on_plant

@@ -17,13 +17,12 @@ import pytest
 from bench.supervisor.child import Child
 from drivers.base import PASSIVE, Command, DriverError
 from drivers.base.records import unpack_command
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE, SURROUNDINGS_FILE
-from sim.live.surroundings import SurroundingsWriter
-from sim.nodes.plan import NodesPlan
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE, SURROUNDINGS_FILE, SurroundingsWriter
+from sim.nodes.wall_plant import NodesPlan
 from sim.plant import PlantParameters
 
 pytestmark = pytest.mark.live

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from drivers.launch_monitor.conversation import Conversation
-from drivers.launch_monitor.open_connect import read_message
-from drivers.launch_monitor.quirks import quirk_of, quirks
+from drivers.launch_monitor.open_connect import quirk_of, quirks, read_message
 from drivers.launch_monitor.record import LaunchRecord
 
 FOLDER = Path(__file__).with_name("conversations")

@@ -12,10 +12,8 @@ import pytest
 from drivers.base import PASSIVE, DriverError
 from sim.ball import Ball
 from sim.driver import SimDriver
-from sim.live.contact_monitor import ContactMonitor, warm_up
-from sim.live.exchange import REPORT_FILE, SURROUNDINGS_FILE
+from sim.live.exchange import REPORT_FILE, SURROUNDINGS_FILE, ContactMonitor, SurroundingsWriter, warm_up
 from sim.live.paced_driver import PacedPlantDriver
-from sim.live.surroundings import SurroundingsWriter
 from sim.plant import PlantParameters
 
 

@@ -8,9 +8,8 @@ import pytest
 
 from drivers.base import PASSIVE, Command
 from sim.nodes.device import CanopenDevice
-from sim.nodes.encoder import EncoderNode
 from sim.nodes.process import EDS
-from sim.nodes.valves import ValveNode401
+from sim.nodes.profile_nodes import EncoderNode, ValveNode401
 
 
 class Wire:

@@ -10,7 +10,7 @@ import pytest
 from drivers.canopen.frames import SYNC, TPDO2
 from sim.live.exchange import PLANT_SURROUNDINGS
 from sim.nodes.process import BenchNodes
-from sim.nodes.wall_grid import WallGrid
+from sim.nodes.wall_plant import WallGrid
 from sim.plant import PlantParameters
 from tests.drivers.canopen.in_step import nodes_plan
 from tests.sim.nodes.test_wall_plant import at_the_ball

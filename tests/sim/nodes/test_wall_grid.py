@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.nodes.wall_grid import WallGrid
+from sim.nodes.wall_plant import WallGrid
 
 PERIOD = 1e-3
 

@@ -19,10 +19,9 @@ from sim.driver import SimDriver
 from sim.impact import impact_parameters
 from sim.kinematics import forward_kinematics, inverse_kinematics
 from sim.live.exchange import BALL, CONTACT, PLANT_SURROUNDINGS
-from sim.nodes.plan import NodesPlan
-from sim.nodes.wall_plant import WallPlant
+from sim.nodes.wall_plant import NodesPlan, WallPlant
 from sim.plant import PlantParameters
-from sim.truth import contact_in
+from sim.sensors import contact_in
 
 START = (0.2, 4.3, 6.0)
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)

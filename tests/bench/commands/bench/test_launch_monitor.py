@@ -20,8 +20,8 @@ from bench.network.client import CommandRefused
 from bench.records.shot.shot_message import ShotPublication, read_shot_message
 from bench.records.telemetry.recorder import read_swing
 from drivers.base import Launch
-from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.open_connect import write_heartbeat, write_shot
+from drivers.launch_monitor.record import MatchOutcome
 from tests.running_bench import (
     LONGEST_START,
     BenchProcess,

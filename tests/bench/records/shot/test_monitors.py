@@ -14,7 +14,7 @@ from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import FinishedSwing, SettledOutcome, ShotMatcher
 from drivers.base import Launch
-from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
+from drivers.launch_monitor.record import MatchOutcome, MatchWindow
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings
 from sim.launch_monitor import ClubMotion, MonitorParameters, SimulatedMonitor

@@ -23,8 +23,14 @@ from bench.records.shot.shot_matcher import (
     SwingWatch,
 )
 from bench.records.telemetry.swing_metadata import shot_id
-from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
-from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord, RefusedRecord
+from drivers.launch_monitor.record import (
+    ClubFigures,
+    ClubRecord,
+    LaunchRecord,
+    MatchOutcome,
+    MatchWindow,
+    RefusedRecord,
+)
 from sim.plant import PlantParameters, Site
 from tests.bench.conftest import BALL
 

@@ -17,8 +17,7 @@ from bench.records.shot.shot_message import (
     read_shot_message,
     shot_publication,
 )
-from drivers.launch_monitor.matching import MatchOutcome
-from drivers.launch_monitor.record import ClubFigures, LaunchRecord
+from drivers.launch_monitor.record import ClubFigures, LaunchRecord, MatchOutcome
 
 FULL = LaunchRecord(
     12.5,

@@ -10,7 +10,7 @@ import pytest
 
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.ring import NoRing, RingReader, RingWriter, ring_capacity
-from drivers.base.shared_record import SharedRecord
+from drivers.base.shared_memory import SharedRecord
 
 CAPACITY = 16
 

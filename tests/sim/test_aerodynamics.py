@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.air import Air
+from sim.aerodynamics import Air
 
 
 def test_air_density_matches_published_values() -> None:

@@ -6,8 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, join_clubs, match
-from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord
+from drivers.launch_monitor.record import (
+    ClubFigures,
+    ClubRecord,
+    LaunchRecord,
+    Match,
+    MatchOutcome,
+    MatchWindow,
+    SwingImpact,
+    join_clubs,
+    match,
+)
 
 WINDOW = MatchWindow(latest=5.0, timeout=10.0)
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.base.mapped_slots import MappedSlots, SharedMemoryError
+from drivers.base.shared_memory import MappedSlots, SharedMemoryError
 
 VALUE = np.dtype([("number", "i8"), ("rest", "u1", (13,))])
 KIND = "record"
