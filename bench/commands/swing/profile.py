@@ -31,7 +31,6 @@ from bench.commands.common.options import (
 from bench.commands.common.output import console_of
 from bench.commands.common.progress import progress_bar, progress_of, progress_of_steps
 from bench.commands.common.session import Session, exit_unless, show_json
-from bench.commands.swing.compare import compare
 
 if TYPE_CHECKING:
     from bench.config import Configuration
@@ -42,10 +41,7 @@ if TYPE_CHECKING:
     from bench.swing.profile import Profile
     from sim.plant import PlantParameters
 
-app = typer.Typer(
-    help="List, show, simulate, check, design and compare swing profiles.", no_args_is_help=True
-)
-app.command()(compare)
+app = typer.Typer(help="List, show, simulate, check and design swing profiles.", no_args_is_help=True)
 
 Name = Annotated[str, argument("PROFILE", "Name or path of a profile.", complete=known_profiles)]
 
