@@ -203,9 +203,10 @@ class ProgressPublisher(CampaignProgress):
         self._publish = publish
 
     def shot(self, shot: Shot) -> None:
-        """Publish a shot and the remaining time."""
+        """Publish a shot and the remaining time; not those of earlier runs, which come before a state."""
         super().shot(shot)
-        self._publish(self.message)
+        if not self._replaying:
+            self._publish(self.message)
 
     def say(self, text: str) -> None:
         """Publish an event."""

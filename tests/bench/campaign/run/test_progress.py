@@ -137,13 +137,16 @@ def test_progress_publisher_sends_json_with_each_change(plan: CampaignPlan) -> N
     entry = new_entry(plan, CONFIGURATION, NOW, simulated=True, real_time={"driver": "sim"})
     told = ProgressPublisher(entry, plan, lambda message: sent.append(json.dumps(message)))
     told.shot(_shot(all_trials(plan)[0], 1, 0.0))
+    assert not sent, "shots of earlier runs are not sent"
+    told.standing(CampaignState.RUNNING, "")
+    told.shot(_shot(all_trials(plan)[1], 2, 10.0))
     told.say("a word")
     told.standing(CampaignState.PAUSED, "paused by request of ann")
     last = json.loads(sent[-1])
-    assert len(sent) == 3
+    assert len(sent) == 4
     assert (last["state"], last["event"]["text"]) == ("paused", "a word")
     assert last["next_work"] is None, "a simulated bench does it automatically"
-    assert shot_line(last["last_shot"]).startswith("shot 1, tour 3, valid")
+    assert shot_line(last["last_shot"]).startswith("shot 2, ")
 
 
 def test_shot_line_unmeasured_shot_shows_not_measured(plan: CampaignPlan) -> None:
