@@ -25,7 +25,7 @@ ROOMS = (
     "bench.campaign.report.campaign_report",
     "bench.campaign.run.runner_control",
     "bench.campaign.run.simulated_shots",
-    "bench.commands.swing.export",
+    "bench.commands.swing.records",
     "bench.network.client",
     "bench.network.messages",
     "bench.records.shot",

@@ -6,6 +6,7 @@ need them: a stop does not wait for the imports of a simulation.
 
 from __future__ import annotations
 
+import codecs
 import errno
 import json
 import os
@@ -14,8 +15,9 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from functools import partial
 from importlib import import_module
+from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TypeAlias, cast
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias, cast
 
 import typer
 from typer.core import TyperGroup
@@ -23,10 +25,7 @@ from typer.models import CommandInfo, TyperInfo
 
 from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode
 from bench.base.interrupt import Terminated, leave
-from bench.commands.common.any_terminal import accept_any_text
-from bench.commands.common.options import Json, argument, flag, option
-from bench.commands.common.plain_command import make_plain
-from bench.commands.common.session import Session, exit_unless, show_json
+from bench.commands.common.command import Session, flag
 
 if TYPE_CHECKING:
     from typer.core import TyperCommand
@@ -65,27 +64,27 @@ _OPERATE = "bench.commands.bench.operate:app"
 
 COMMANDS: Mapping[str, str] = {
     "run": "bench.commands.bench.run:run",
-    "nodes": "bench.commands.bench.nodes:nodes",
-    "launch-monitor": "bench.commands.bench.launch_monitor:launch_monitor",
+    "nodes": "bench.commands.bench.simulators:nodes",
+    "launch-monitor": "bench.commands.bench.simulators:launch_monitor",
     "commission": "bench.commands.machine.commission:commission",
     "learn": "bench.commands.swing.learn:learn",
-    "identify": "bench.commands.machine.identify:identify",
+    "identify": "bench.commands.machine.wear:identify",
     "wear": "bench.commands.machine.wear:wear",
     "tune": "bench.commands.machine.tune:tune",
     "view": "bench.commands.bench.view:view",
-    "page": "bench.commands.bench.page:page",
+    "page": "bench.commands.bench.run:page",
     "console": "bench.commands.cli:console",
-    "export": "bench.commands.swing.export:export",
-    "draw": "bench.commands.machine.draw:draw",
+    "export": "bench.commands.swing.records:export",
+    "draw": "bench.commands.machine.size:draw",
     "size": "bench.commands.machine.size:size",
-    "schema": "bench.commands.bench.schema:schema",
-    "certificates": "bench.commands.bench.certificates:certificates",
-    "cluster": "bench.commands.machine.cluster:cluster",
-    "doctor": "bench.commands.cli:doctor",
-    "demo": "bench.commands.cli:demo",
-    "check": "bench.commands.cli:check",
-    "replay": "bench.commands.cli:replay",
-    "compare": "bench.commands.swing.compare_swings:compare",
+    "schema": "bench.commands.bench.run:schema",
+    "certificates": "bench.commands.bench.run:certificates",
+    "cluster": "bench.commands.bench.run:cluster",
+    "doctor": "bench.commands.machine.doctor:doctor",
+    "demo": "bench.commands.campaign.campaign_run:demo",
+    "check": "bench.commands.bench.run:check",
+    "replay": "bench.commands.swing.records:replay",
+    "compare": "bench.commands.swing.records:compare",
     "profile": "bench.commands.swing.profile:app",
     "golfer": "bench.commands.swing.golfer:app",
     **dict.fromkeys(
@@ -93,7 +92,7 @@ COMMANDS: Mapping[str, str] = {
         _OPERATE,
     ),
     "calibrate": "bench.commands.machine.calibrate:app",
-    "campaign": "bench.commands.campaign.campaign:app",
+    "campaign": "bench.commands.campaign.campaign_run:app",
     "faults": "bench.commands.machine.faults:app",
 }
 """Commands by name: module and attribute, a function, or a Typer app that is the command or has it."""
@@ -133,11 +132,50 @@ def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
 
 
 def _prepared(command: _Command) -> _Command:
-    make_plain(command)
+    _make_plain(command)
     below = getattr(command, "commands", {})
     for one in below.values() if isinstance(below, dict) else ():  # of the others when they are loaded
         _prepared(one)
     return command
+
+
+def _make_plain(command: TyperCommand | TyperGroup) -> None:
+    """Prepare `command` so that its help is shown as written and its plain values need no conversion.
+
+    The command line prints help as markup: it would swallow `[launch_monitor]` and `[default: 3]` as style
+    tags, break paragraphs where the source breaks them, and show a flag as an option that takes a value. It
+    converts every value with pydantic, also a default, and importing pydantic takes longer than all else of
+    `golfbench stop`.
+    """
+    if command.help:
+        command.help = "\n\n".join(
+            _literal(" ".join(paragraph.split())) for paragraph in command.help.split("\n\n")
+        )
+    for parameter in command.get_params(typer.Context(command)):  # with --help
+        text = getattr(parameter, "help", None)
+        if text:
+            parameter.help = _literal(text)  # type: ignore[attr-defined]  # options and arguments have one
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+        if not (parameter.required or parameter.multiple or parameter.nargs != 1):
+            _pass_plain(parameter)
+
+
+def _literal(text: str) -> str:
+    """Return markup that shows `text` itself."""
+    return text.replace("[", r"\[")
+
+
+def _pass_plain(parameter: Any) -> None:
+    convert, callback = parameter.process_value, parameter.callback
+    is_text = parameter.type_descriptor.annotation is str
+
+    def process_value(context: Any, value: Any) -> Any:
+        if value is not parameter.default and not (is_text and isinstance(value, str)):
+            return convert(context, value)
+        return value if callback is None else callback(context, parameter, value)
+
+    parameter.process_value = process_value
 
 
 class _Lazy(TyperGroup):
@@ -185,97 +223,6 @@ def options(
     """Read the global options, which precede the command."""
     session = ctx.ensure_object(Session)
     session.config, session.debug = None if config is None else Path(config), debug
-
-
-def doctor(
-    context: typer.Context,
-    json_: Json = False,
-    data_dir: Annotated[
-        Path | None, option("Folder of records.", "PATH", shown="data_dir of the configuration")
-    ] = None,
-) -> None:
-    """Check this machine: packages, real time, memory, CAN, tools.
-
-    With hardware in the configuration also its CAN link, clock, interrupt thread and core.
-    Exits with 1 if something is missing that the simulation needs.
-    """
-    from rich.console import Console
-
-    from bench.commands.common.progress import progress_bar
-    from bench.commands.machine.doctor import examine, report, table, usable
-    from bench.commands.machine.doctor_bench import all_probes
-
-    planned = all_probes(context.ensure_object(Session).configuration, data_dir)
-    findings = []
-    with progress_bar() as progress:
-        task = progress.add_task(f"examining {planned[0].group}", total=len(planned))
-        for finding, following in zip(examine(planned), (*planned[1:], planned[-1]), strict=True):
-            findings.append(finding)
-            progress.update(task, advance=1, description=f"examining {following.group}")
-    if json_:
-        show_json(report(findings))
-    else:
-        Console().print(table(findings))
-    exit_unless(usable(findings))
-
-
-def demo(
-    context: typer.Context,
-    output: Annotated[
-        Path | None, option("New or empty folder for the files.", "DIR", shown="DATA_DIR/demo-TIME")
-    ] = None,
-    seed: Annotated[int, option("Seed of the shot-to-shot scatter.", low=0)] = 1,
-    swings: Annotated[int, option("Number of swings.", low=1, high=200)] = 10,
-    engine: Annotated[
-        Literal["bench", "compiled"],
-        option("bench: a running bench in real time; compiled: lock-step in this process, within seconds."),
-    ] = "bench",
-) -> None:
-    """Compare two balls on the simulated robot: table, report and records.
-
-    Exits with 1 if the test was not completed.
-    """
-    from bench.commands.campaign.demo.demo import run_demo
-
-    configuration = context.ensure_object(Session).configuration()
-    exit_unless(run_demo(configuration, output, swings, seed, live=engine == "bench"))
-
-
-def check(
-    context: typer.Context,
-    profile: Annotated[str | None, argument("PROFILE", "Name or path.", shown="the configuration's")] = None,
-    defaults: Annotated[
-        bool, flag("--defaults", "Print the shipped configuration with every key, its meaning and bounds.")
-    ] = False,
-) -> None:
-    """Check configuration and swing before anything moves; print the checks.
-
-    Exits with 2 and lists all mistakes.
-    """
-    from rich.console import Console
-
-    from bench.commands.bench.check import check_all, shipped_text
-
-    if defaults:
-        typer.echo(shipped_text(), nl=False)
-        return
-    check_all(context.ensure_object(Session), profile, Console())
-
-
-def replay(
-    record: Annotated[Path, argument("RECORD", "Record of a swing, .parquet.")],
-    tolerance: Annotated[
-        float, option("Absolute and relative tolerance; codes must be equal.", low=0.0)
-    ] = 1e-9,
-    json_: Json = False,
-) -> None:
-    """Replay a record's readings through the present controller and compare all fields.
-
-    Exits with 1 if a field differs.
-    """
-    from bench.commands.swing.replay import replay_command
-
-    exit_unless(replay_command(record, tolerance, json_))
 
 
 def console(context: typer.Context) -> None:
@@ -363,3 +310,29 @@ def _has_working_directory() -> bool:
     except FileNotFoundError:
         return False
     return True
+
+
+_PLAIN = {"°": " deg", "±": "+-", "µ": "u", "×": "x", "²": "^2", "³": "^3", "·": "*"}
+_PLAIN |= {"–": "-", "—": "-", "…": "..."}
+_PLAIN |= {"−": "-", "→": "->", "←": "<-", "≤": "<=", "≥": ">=", "∞": "inf", "θ": "theta", "β": "beta"}
+_PLAIN |= {"✓": "ok", "✗": "x", "●": "*", "○": "o", "’": "'", "“": '"', "”": '"'}
+_PLAIN |= dict(zip("▁▂▃▄▅▆▇█▏", "__..-=+#|", strict=True))
+"""Replacements for characters that a terminal's encoding lacks; all others become "?"."""
+
+_HANDLER = "golfbench.plain"
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """Return plain characters for those that cannot be encoded, and the position after them."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    return "".join(_PLAIN.get(character, "?") for character in lacking), error.end
+
+
+def accept_any_text() -> None:
+    """Let standard output and errors take any text, whatever the encoding of the terminal."""
+    codecs.register_error(_HANDLER, _plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors=_HANDLER)

@@ -33,5 +33,5 @@ def require_planned_openings(control: ControlSettings) -> None:
             "control.feed_forward",
             repr(control.feed_forward),
             '"planned": designing and learning change the planned openings',
-            'Set feed_forward = "planned" for it; `golfbench profile compare` compares with the others.',
+            'Set feed_forward = "planned" for it.',
         )

@@ -74,7 +74,7 @@ def figures_of(delivery: Delivery | None) -> Figures:
 
 
 def planned_figures(bench: Bench) -> Figures:
-    """Return the delivery that the profile plans: what learning aims at and controllers are compared by.
+    """Return the delivery that the profile plans: what learning aims at.
 
     Raises:
         BenchError: its file lacks it.

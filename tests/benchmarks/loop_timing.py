@@ -30,8 +30,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.lifecycle import Request, State
-from bench.commands.bench.nodes import nodes_plan
-from bench.commands.common.progress import progress_bar
+from bench.commands.bench.simulators import nodes_plan
+from bench.commands.common.output import progress_bar
 from bench.config import Configuration, load_configuration
 from bench.supervisor.child import Child
 from bench.supervisor.child_process import TIMING_FILE, LoopPlan

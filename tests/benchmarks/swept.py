@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Callable, Hashable, Sequence
 from typing import Protocol, TypeVar
 
-from bench.commands.common.options import sweep_engine
-from bench.commands.common.progress import progress_bar
+from bench.commands.common.command import sweep_engine
+from bench.commands.common.output import progress_bar
 from bench.config import Configuration, load_configuration
 from bench.simulation.local_engine import InProcess
 from bench.simulation.sweep import Study, sweep

@@ -17,9 +17,8 @@ import pytest
 from typer.testing import CliRunner
 
 import bench.faults.matrix
-from bench.commands.common.session import Session
-from bench.commands.machine.faults import app
-from bench.commands.machine.faults_page import matrix_page, matrix_table
+from bench.commands.common.command import Session
+from bench.commands.machine.faults import app, matrix_page, matrix_table
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage, irrelevant

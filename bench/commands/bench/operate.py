@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
 import os
+import stat
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.commands.common.options import Json, flag, option
-from bench.commands.common.session import Session, exit_unless, show_json, user_name
+from bench.base.errors import BenchError, Refused
+from bench.commands.common.command import Json, Session, exit_unless, flag, option, show_json, user_name
 
 if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus, CommandAnswer
-    from bench.network.client import BenchClient
+    from bench.network.client import BenchClient, HeldLease
     from bench.records.shot.shot_message import ShotPublication
 
 PANEL = "A running bench"
@@ -49,8 +52,6 @@ def status(
 
     With --watch and --json: one line for each published state.
     """
-    import json
-
     with _client(context) as bench:
         if json_:
             typer.echo(json.dumps(bench.status(), indent=None if watch else 2))
@@ -154,7 +155,6 @@ def swing(
 
     Exits with 1 if the swing did not complete. Profiles: golfbench profile.
     """
-    from bench.base.errors import BenchError, Refused
     from bench.network.client import action_of
 
     if context.args:  # a slip for `golfbench profile ...` must not move the robot
@@ -191,12 +191,11 @@ def take_lease(
     seconds: Seconds = None,
 ) -> None:
     """Take the lease; the commands that follow use and renew it."""
-    from bench.commands.bench.lease_file import open_lease_file
     from bench.network.client import CommandRefused
     from bench.network.lease import DEFAULT_SECONDS
 
     name = holder or user_name()
-    with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
+    with _client(context) as bench, _stored_lease(bench) as file:
         kept = file.read()
         if kept is not None and kept.holder == name:
             bench.held = kept
@@ -248,6 +247,69 @@ def show_lease(context: typer.Context, json_: Json = False) -> None:
             )
 
 
+def lease_folder(environment: Mapping[str, str], home: Path) -> Path:
+    """Return the folder of stored leases: in the login session's folder, or else the user's state folder."""
+    if runtime := environment.get("XDG_RUNTIME_DIR"):
+        return Path(runtime) / "golfbench"
+    state = environment.get("XDG_STATE_HOME")
+    return (Path(state) if state else home / ".local" / "state") / "golfbench"
+
+
+class LeaseFile:
+    """The open and locked lease file of one bench; its lease may have expired."""
+
+    def __init__(self, file: IO[str]) -> None:
+        self._file = file
+
+    def read(self) -> HeldLease | None:
+        """Return the stored lease; None if there is none or it is unreadable."""
+        from bench.network.client import HeldLease
+
+        self._file.seek(0)
+        try:
+            match json.loads(self._file.read(4096) or "null"):
+                case {
+                    "version": 1,
+                    "holder": str(holder),
+                    "key": str(key),
+                    "seconds": float(seconds),
+                    "sequence": int(sequence),
+                }:
+                    return HeldLease(holder, key, seconds, sequence)
+        except ValueError:
+            pass
+        return None
+
+    def write(self, lease: HeldLease | None) -> None:
+        """Store `lease`, or none."""
+        self._file.seek(0)
+        self._file.truncate()
+        if lease is not None:
+            json.dump({"version": 1, **asdict(lease)}, self._file)
+        self._file.flush()
+
+
+@contextmanager
+def open_lease_file(folder: Path, bench: str) -> Iterator[LeaseFile]:
+    """Yield the file of `bench` in `folder`, made if needed; a second command waits until this one is done.
+
+    Raises:
+        BenchError: the file is not its user's alone.
+        OSError: it cannot be made or written.
+    """
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    path = folder / f"lease-{bench}.json"
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    with os.fdopen(descriptor, "r+", encoding="utf-8") as file:
+        status = os.fstat(descriptor)
+        if status.st_uid != os.geteuid() or stat.S_IMODE(status.st_mode) & 0o077:
+            found = f"mode {stat.S_IMODE(status.st_mode):o} of user {status.st_uid}"
+            expected = "mode 600 of this user: it holds the key to the bench"
+            raise BenchError(str(path), found, expected, "Remove the file and take the lease again.")
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield LeaseFile(file)
+
+
 # Requests --------------------------------------------------------------------------------------------
 
 
@@ -255,19 +317,16 @@ def _client(context: typer.Context, *, stopping: bool = False) -> AbstractContex
     return context.ensure_object(Session).connect(stopping=stopping)
 
 
-def _folder() -> Path:
-    from bench.commands.bench.lease_file import lease_folder
-
-    return lease_folder(os.environ, Path.home())
+def _stored_lease(bench: BenchClient) -> AbstractContextManager[LeaseFile]:
+    return open_lease_file(lease_folder(os.environ, Path.home()), bench.bench)
 
 
 @contextmanager
 def _holding(context: typer.Context) -> Iterator[BenchClient]:
     """Yield a client with the stored lease; renew the lease at the end, and store it again."""
-    from bench.commands.bench.lease_file import open_lease_file
     from bench.network.client import CommandRefused
 
-    with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
+    with _client(context) as bench, _stored_lease(bench) as file:
         kept = file.read()
         if kept is not None:
             bench.held = replace(kept)
@@ -363,49 +422,33 @@ def _tell(bench: BenchClient) -> None:
 
 
 _MPH, _YARD = 0.44704, 0.9144
+_CLUB_FIGURES = (
+    ("club_speed_mps", "{0:.2f} m/s ({1:.1f} mph) at the ball", _MPH),
+    ("attack_angle_deg", "attack {0:+.2f}°", 1.0),
+    ("strike_x_mm", "strike {0:+.1f} mm to the toe", 1.0),
+    ("strike_y_mm", "{0:+.1f} mm up", 1.0),
+)
+_BALL_FIGURES = (
+    ("ball_speed_mps", "{0:.2f} m/s ({1:.1f} mph)", _MPH),
+    ("launch_angle_deg", "launch {0:.1f}°", 1.0),
+    ("spin_rpm", "spin {0:.0f} rpm", 1.0),
+    ("carry_m", "carry {0:.1f} m ({1:.1f} yd)", _YARD),
+)
+"""Figures of a shot by name: text of the value and of its quotient by a unit."""
 
 
 def shot_lines(message: ShotPublication) -> list[str]:
     """Return the results of the shot in `message`: a line each for club, ball and reason of a failure."""
     shot, number = message["shot"] or {}, message["number"]
-    head = "swing" if number is None else f"swing {number}"
-    club = _joined(
-        _speed(shot, "club_speed_mps", "at the ball"),
-        _figure(shot, "attack_angle_deg", "attack {:+.2f}°"),
-        _figure(shot, "strike_x_mm", "strike {:+.1f} mm to the toe"),
-        _figure(shot, "strike_y_mm", "{:+.1f} mm up"),
-    )
-    ball = _joined(
-        _speed(shot, "ball_speed_mps", ""),
-        _figure(shot, "launch_angle_deg", "launch {:.1f}°"),
-        _figure(shot, "spin_rpm", "spin {:.0f} rpm"),
-        _carry(shot),
-    )
-    reason = message["reason"] or str(shot.get("reason") or "")
-    lines = [f"{head}: {club or 'no delivery'}"]
+
+    def joined(figures: tuple[tuple[str, str, float], ...]) -> str:
+        known = [(form, shot[name], unit) for name, form, unit in figures if shot.get(name) is not None]
+        return ", ".join(form.format(value, value / unit) for form, value, unit in known)
+
+    ball, source = joined(_BALL_FIGURES), shot.get("carry_source")
+    lines = [f"swing{'' if number is None else f' {number}'}: {joined(_CLUB_FIGURES) or 'no delivery'}"]
     if ball:
-        lines.append(f"ball: {ball}")
-    if reason:
+        lines.append(f"ball: {ball}{f' by {source}' if source and shot.get('carry_m') is not None else ''}")
+    if reason := message["reason"] or str(shot.get("reason") or ""):
         lines.append(reason)
     return lines
-
-
-def _joined(*parts: str) -> str:
-    return ", ".join(filter(None, parts))
-
-
-def _figure(shot: Mapping[str, Any], name: str, form: str) -> str:
-    value = shot.get(name)
-    return "" if value is None else form.format(value)
-
-
-def _speed(shot: Mapping[str, Any], name: str, where: str) -> str:
-    value = shot.get(name)
-    return "" if value is None else f"{value:.2f} m/s ({value / _MPH:.1f} mph) {where}".rstrip()
-
-
-def _carry(shot: Mapping[str, Any]) -> str:
-    value, source = shot.get("carry_m"), shot.get("carry_source")
-    if value is None:
-        return ""
-    return f"carry {value:.1f} m ({value / _YARD:.1f} yd)" + (f" by {source}" if source else "")

@@ -35,7 +35,7 @@ from bench.network.status_words import (
 from drivers.base import ACTUATORS, JOINTS
 
 REDRAW = 0.2
-"""Period of `watch_status` (s)."""
+"""Period of a live status (s)."""
 
 SILENT = 1.0
 """Time without a state after which the bench counts as silent (s); it publishes every 0.2 s."""
@@ -106,7 +106,7 @@ def _title(status: BenchStatus, age: float, silent: bool) -> Text:
 def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     cause, latest, lease, loop = status["cause"], status["latest_cause"], status["lease"], status["loop"]
     moves = f"{status['phase']}, reaction {status['reaction']}"
-    chambers = [_bar(pressure) for pressure in status["chamber_pressure_pa"]]
+    chambers = [_value(pressure, "{:.2f}", 1e-5) for pressure in status["chamber_pressure_pa"]]
     sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)
     joints = zip(JOINTS, status["joints_deg"], strict=True)
     rows: list[tuple[str, Text | str]] = [
@@ -118,10 +118,10 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         ("robot", _flags(robot_conditions(status))),
         ("readiness", _readiness(status)),
         ("interlocks", _flags(interlock_conditions(status))),
-        ("joints", ", ".join(f"{name} {_degrees(angle)}" for name, angle in joints)),
-        ("supply", f"{_bar(status['supply_pressure_pa'])} bar absolute"),
+        ("joints", ", ".join(f"{name} {_value(angle, '{:.1f}°')}" for name, angle in joints)),
+        ("supply", _value(status["supply_pressure_pa"], "{:.2f}", 1e-5) + " bar absolute"),
         ("chambers A/B", ", ".join(f"{actuator} {a}/{b}" for actuator, a, b in sides) + " bar"),
-        ("spools", ", ".join(map(_opening, status["spool_positions"]))),
+        ("spools", ", ".join(_value(position, "{:+.2f}") for position in status["spool_positions"])),
         ("vents", vent_words(status["vents_open"])),
         ("shut-off valve", shut_off_words(status["shut_off_open"])),
         ("air", Text("\n".join(status["air_faults"]), "red") if status["air_faults"] else "no fault found"),
@@ -130,8 +130,8 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
             "loop",
             f"{loop['rate_hz']:.1f} Hz, tick {status['tick']}, "
             f"skipped {loop['skipped']}, late {loop['late']}{_stalls(loop['stalls'])}\n"
-            f"woken p50 {_microseconds(loop['wake_p50_s'])}, p99 {_microseconds(loop['wake_p99_s'])}; "
-            f"tick p99 {_microseconds(loop['tick_p99_s'])}",
+            f"woken p50 {1e6 * loop['wake_p50_s']:.0f} µs, p99 {1e6 * loop['wake_p99_s']:.0f} µs; "
+            f"tick p99 {1e6 * loop['tick_p99_s']:.0f} µs",
         ),
         ("device", _device(status["device"])),
         ("real time", _real_time(status["real_time"])),
@@ -235,23 +235,11 @@ def _pairs(values: Mapping[str, Any]) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in values.items()) or "none"
 
 
-def _bar(pressure: float | None) -> str:
-    return "–" if pressure is None else f"{1e-5 * pressure:.2f}"
-
-
-def _opening(position: float | None) -> str:
-    return "–" if position is None else f"{position:+.2f}"
-
-
-def _degrees(angle: float | None) -> str:
-    return "–" if angle is None else f"{angle:.1f}°"
+def _value(value: float | None, form: str, scale: float = 1.0) -> str:
+    return "–" if value is None else form.format(scale * value)
 
 
 def _stalls(stalls: Mapping[str, int]) -> str:
     """Return why ticks were late or skipped, empty if none was."""
     found = [f"{count} by {_STALLS.get(why, why)}" for why, count in stalls.items() if count]
     return f" ({', '.join(found)})" if found else ""
-
-
-def _microseconds(seconds: float) -> str:
-    return f"{1e6 * seconds:.0f} µs"

@@ -12,9 +12,8 @@ import typer
 
 from bench.base.errors import BenchError
 from bench.base.interrupt import stop_on_signals
-from bench.commands.common.options import flag, option
-from bench.commands.common.progress import progress_bar
-from bench.commands.common.session import Session
+from bench.commands.common.command import Session, flag, option
+from bench.commands.common.output import progress_bar
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -139,7 +138,6 @@ def _golfer(path: Path, records: Sequence[ShotRecord], plant: PlantParameters) -
 
 
 def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
-
     import rerun as rr
 
     from bench.network.zenoh_session import close_session, open_client

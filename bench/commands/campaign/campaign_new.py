@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
 from bench.base.errors import BenchError
-from bench.commands.common.options import argument, option
-from bench.commands.common.session import Session, at_terminal
+from bench.commands.common.command import Session, argument, at_terminal, option
 
 if TYPE_CHECKING:
     from bench.campaign.plan.plan import CampaignPlan
     from bench.config import Configuration
 
-T = TypeVar("T")
 Compared = Literal["ball", "club", "swing"]
-Carry = Literal["monitor", "reference", "measured"]
 _COMMENT_AT = 34
 """Column of the comments."""
 _MANY = 1e6
@@ -51,51 +48,58 @@ def new(
         int | None,
         option("Blocks.", "COUNT", low=2, high=1000, shown="as many as find the difference"),
     ] = None,
-    carry: Annotated[
-        Carry, option("Carry as the launch monitor, a reference ball or measured balls yield it.")
-    ] = "monitor",
-    title: Annotated[str, option("Title of the report.", "TEXT", shown="the name")] = "",
 ) -> None:
     """Write a commented plan from options; missing ones are questions at the terminal.
 
     Prints duration and resolution. Mistakes are listed all at once; the file is kept and can be corrected.
     """
     name = _plan_name(file)
-    answers: dict[str, Any] = {"compare": compare, "ball": ball, "club": club, "swing": swing}
-    answers |= {"difference": difference, "sd": sd}
+    given: dict[str, Any] = {"compare": compare, "ball": ball, "club": club, "swing": swing}
     configuration = context.ensure_object(Session).configuration()
-    design, analysis = _answered(answers, configuration)
+    answers = _answered(given | {"difference": difference, "sd": sd}, configuration)
+    design: dict[str, Any] = {
+        "compare": answers["compare"],
+        "balls": answers["ball"],
+        "clubs": answers["club"],
+    }
+    if answers["swing"]:
+        design["swings"] = answers["swing"]
+    analysis = {"expected_sd": answers["sd"], "target_difference": answers["difference"]}
     sections = {
-        "campaign": {"name": name, "title": title or name.replace("-", " ").capitalize()},
+        "campaign": {"name": name, "title": name.replace("-", " ").capitalize()},
         "design": design,
         "control": {"ball": control},
-        "analysis": {"carry": carry, **analysis},
+        "analysis": {"carry": "monitor", **analysis},
     }
     for line in _outlook(_write(file, sections, blocks, configuration)):
         typer.echo(line)
     typer.echo(f"Written: {file}. Shot order: golfbench campaign check {file}")
 
 
-def _answered(
-    given: Mapping[str, Any], configuration: Configuration
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the keys of [design] and [analysis] by the options `given`, and by answers at a terminal."""
-    _require_answers({name: value for name, value in given.items() if name != "swing"})
+def _answered(options: Mapping[str, Any], configuration: Configuration) -> dict[str, Any]:
+    """Return `options`, the missing ones by answers at a terminal.
+
+    Raises:
+        BenchError: options are missing, and no terminal can be asked.
+    """
+    given = dict(options)
+    missing = [name for name, value in given.items() if value in (None, []) and name != "swing"]
+    if missing and not at_terminal():
+        named = ", ".join(f"--{name}" for name in missing)
+        raise BenchError("campaign new", f"no {named}", "these options, or a terminal", f"Add {named}.")
     balls, clubs = ", ".join(configuration.balls), ", ".join(configuration.clubs)
-    compared = _given(given["compare"], "Compare ball, club or swing", _one_of(get_args(Compared)))
-    design = {
-        "compare": compared,
-        "balls": _given(given["ball"], f"Balls, separated by commas ({balls})", _names),
-        "clubs": _given(given["club"], f"Clubs, separated by commas ({clubs})", _names),
+    questions: dict[str, tuple[str, Callable[[str], Any]]] = {
+        "compare": ("Compare ball, club or swing", _factor),
+        "ball": (f"Balls, separated by commas ({balls})", _names),
+        "club": (f"Clubs, separated by commas ({clubs})", _names),
+        "swing": ("Swings, separated by commas", _names),
+        "sd": ("Expected standard deviation of one shot, m", _length),
+        "difference": ("Smallest difference of carry worth finding, m", _length),
     }
-    if given["swing"] or compared == "swing":
-        design["swings"] = _given(given["swing"], "Swings, separated by commas", _names)
-    return design, {
-        "expected_sd": _given(given["sd"], "Expected standard deviation of one shot, m", _length),
-        "target_difference": _given(
-            given["difference"], "Smallest difference of carry worth finding, m", _length
-        ),
-    }
+    for name, (question, read) in questions.items():
+        if name in missing or (name == "swing" and not given[name] and given["compare"] == "swing"):
+            given[name] = typer.prompt(question, value_proc=read, err=True)
+    return given
 
 
 def _plan_name(file: Path) -> str:
@@ -114,40 +118,11 @@ def _plan_name(file: Path) -> str:
     return file.stem
 
 
-def _require_answers(options: Mapping[str, object]) -> None:
-    """Refuse `options` that are not given where no terminal can be asked.
-
-    Raises:
-        BenchError: it lists them.
-    """
-    missing = [f"--{name}" for name, value in options.items() if value in (None, [])]
-    if missing and not at_terminal():
-        action = f"Add {', '.join(missing)}."
-        raise BenchError("campaign new", f"no {', '.join(missing)}", "these options, or a terminal", action)
-
-
-def _given(value: T | None, question: str, read: Callable[[str], T]) -> T:
-    """Return `value`, or the answer to `question` without one."""
-    if value is not None and value != []:
-        return value
-
-    def answer(text: str) -> T:
-        try:
-            return read(text.strip())
-        except ValueError as error:
-            raise typer.BadParameter(str(error)) from None
-
-    answered: T = typer.prompt(question, value_proc=answer, err=True)
-    return answered
-
-
-def _one_of(known: Sequence[Any]) -> Callable[[str], Any]:
-    def read(text: str) -> str:
-        if text not in known:
-            raise ValueError(f"found {text!r}, expected one of {', '.join(known)}")
-        return text
-
-    return read
+def _factor(text: str) -> str:
+    if text.strip() not in get_args(Compared):
+        known = ", ".join(get_args(Compared))
+        raise typer.BadParameter(f"found {text!r}, expected one of {known}")
+    return text.strip()
 
 
 def _names(text: str) -> list[str]:
@@ -155,9 +130,12 @@ def _names(text: str) -> list[str]:
 
 
 def _length(text: str) -> float:
-    value = float(text.replace(",", "."))
+    try:
+        value = float(text.replace(",", "."))
+    except ValueError:
+        value = 0.0
     if not 0.0 < value < _MANY:
-        raise ValueError(f"found {text!r}, expected a number above 0")
+        raise typer.BadParameter(f"found {text!r}, expected a number above 0")
     return value
 
 

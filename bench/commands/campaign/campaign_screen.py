@@ -1,21 +1,24 @@
-"""Campaigns at the terminal: progress and list."""
+"""Campaigns at the terminal: the progress of a running one, the list of stored ones."""
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import typer
-from rich.console import Console, RenderableType
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, Group, RenderableType
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Column, Table
 from rich.text import Text
 
 from bench.campaign.interruptions import duration_text
 from bench.records.shot.shot import ShotStatus
-from bench.store.records import ENDED, CampaignState
+from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
 
 _SELDOM = 2.0
 """Min time between plain lines for valid shots, s."""
@@ -75,6 +78,18 @@ class ProgressScreen:
         self._task = bar.add_task("warming up", total=None)
         self._printed = -_SELDOM
         self._shots = 0
+        self._event: object = None
+        self._standing: object = None
+
+    def follow(self, message: Mapping[str, Any]) -> None:
+        """Show `message`, with its event and its reason above the bar if they are new."""
+        self.show(message)
+        event, standing = message["event"], (message["state"], message["reason"])
+        if event != self._event and event:
+            self._say(event["text"])
+        if standing != self._standing and message["reason"]:
+            self._say(f"{message['state']}: {message['reason']}")
+        self._event, self._standing = event, standing
 
     def show(self, message: Mapping[str, Any]) -> None:
         """Show `message`; a plain line for a new shot, of many in a second only some and all invalid ones."""
@@ -99,7 +114,7 @@ class ProgressScreen:
             err=True,
         )
 
-    def say(self, text: str) -> None:
+    def _say(self, text: str) -> None:
         """Print above the bar, or as a plain line with its time."""
         if self._bar.disable:
             typer.echo(f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%S}Z {text}", err=True)
@@ -144,3 +159,50 @@ def _left(message: Mapping[str, Any]) -> str:
         return ""
     end = datetime.now().astimezone() + timedelta(seconds=message["seconds_left"])
     return f"{duration_text(message['seconds_left'])} left, until {end:%H:%M}"
+
+
+# The list --------------------------------------------------------------------------------------------
+
+Listed = Sequence[tuple[CampaignEntry, Standing, Counter[str]]]
+
+
+def listing(found: Listed, console: Console) -> Table:
+    """Return the campaigns as a table for `console`, wider than it where whole ids do not fit."""
+    longest = max((len(entry.id) for entry, _, _ in found), default=0)
+    bench = max((len(entry.bench) for entry, _, _ in found), default=0)
+    identity = Column("campaign", width=longest, no_wrap=True), Column("bench", min_width=bench, no_wrap=True)
+    others = (Column("start, UTC", min_width=10), Column("state", min_width=9), "shots", "valid", "excluded")
+    table = Table(*identity, *others, box=SIMPLE_HEAD)
+    for entry, standing, counts in found:
+        reason = [Text(standing.reason, style="dim", no_wrap=False)] if standing.reason else []
+        table.add_row(
+            Group(Text(entry.id), *reason),
+            Text(entry.bench),
+            f"{entry.date:%Y-%m-%d %H:%M}",
+            f"{standing.state}{' (sim)' if entry.simulated else ''}",
+            str(sum(counts.values())),
+            str(counts[ShotStatus.VALID]),
+            str(counts[ShotStatus.EXCLUDED]),
+        )
+    whole = console.measure(table, options=console.options.update(max_width=1000)).minimum
+    table.width = max(console.width, whole)
+    return table
+
+
+def listing_record(found: Listed) -> list[dict[str, Any]]:
+    """Return the campaigns for a program to read."""
+    return [
+        {
+            "id": entry.id,
+            "bench": entry.bench,
+            "name": entry.name,
+            "date": entry.date.isoformat(),
+            "simulated": entry.simulated,
+            "seed": entry.seed,
+            "plan": entry.digest,
+            "state": str(standing.state),
+            "reason": standing.reason,
+            "shots": {str(status): counts[status] for status in ShotStatus},
+        }
+        for entry, standing, counts in found
+    ]

@@ -30,7 +30,7 @@ from rich.text import Text
 from bench.base.errors import BenchError, Refused
 from bench.campaign.plan.prompts import Numbered, PromptKind, balls_of, places, require_count
 from bench.commands.campaign.campaign_screen import CampaignBar
-from bench.commands.common.session import user_name
+from bench.commands.common.command import at_terminal, user_name
 from bench.store.records import MAX_COMMENT_LENGTH, Prompt, ShotNote
 
 HINT = "m: mark the last shot"
@@ -110,6 +110,7 @@ class MarkKeys:
         self._before: list[Any] | None = None
         """Settings of the terminal before its keys were read singly."""
         self._thread = Thread(target=self._work, name="keys", daemon=True)
+        self._thread.start()
 
     def _last(self) -> int:
         """Return the last shot, 0 before the first."""
@@ -132,10 +133,6 @@ class MarkKeys:
         """Read keys again."""
         with self._lock:
             self._paused = False
-
-    def start(self) -> None:
-        """Begin to read."""
-        self._thread.start()
 
     def close(self) -> None:
         """End; store the typed text, and report a mark that cannot be stored."""
@@ -212,11 +209,10 @@ def mark_keys(
     bar: CampaignBar, by: str, progress: Callable[[], Mapping[str, Any]], store: Callable[[ShotNote], None]
 ) -> Iterator[MarkKeys | None]:
     """Read the key that marks while `bar` shows progress; None without a terminal."""
-    if bar.disable or sys.stdin is None or not sys.stdin.isatty():
+    if bar.disable or not at_terminal():
         yield None
         return
     keys = MarkKeys(bar, by, progress, store)
-    keys.start()
     try:
         yield keys
     finally:
@@ -246,7 +242,7 @@ class TerminalOperator:
         self.name, self.kinds = user_name(), kinds
         self._bar, self._campaign, self._keys = bar, campaign, keys
         self._prompt: Prompt | None = None
-        self._listening = sys.stdin is not None and sys.stdin.isatty()
+        self._listening = at_terminal()
 
     def show(self, prompt: Prompt) -> None:
         """Show a prompt and how to confirm it."""

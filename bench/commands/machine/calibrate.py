@@ -14,10 +14,17 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
-from bench.commands.common.options import Json, argument, option
+from bench.commands.common.command import (
+    Json,
+    Session,
+    argument,
+    exit_unless,
+    option,
+    show_json,
+    user_name,
+)
 from bench.commands.common.output import plain_table
-from bench.commands.common.session import Session, exit_unless, show_json
-from bench.commands.machine.calibrate_measured import aerodynamics, inputs, user_name
+from bench.commands.machine.calibrate_measured import By, aerodynamics, inputs
 
 if TYPE_CHECKING:
     from bench.calibration.calibration import Calibration, CalibrationKind, Entry
@@ -40,7 +47,6 @@ Days = Annotated[
         names="--expires-days",
     ),
 ]
-By = Annotated[str | None, option("Who measured.", "NAME", shown="the user's name")]
 Method = Annotated[str, option("Method and tool of the measurement.", "TEXT")]
 Note = Annotated[str, option("Remark.", "TEXT")]
 
@@ -74,7 +80,7 @@ def encoders(
     counts: Counts = None,
     sign: Signs = None,
     method: Method = "",
-    by: By = None,
+    by: By = "",
     expires_days: Days = None,
     note: Note = "",
     json_: Json = False,
@@ -122,7 +128,7 @@ def ball(
     y: Annotated[float, option("Ball's centre up the swing plane, from R1.", "M")],
     uncertainty_mm: Annotated[float, option("Standard uncertainty of both.", "MM")],
     method: Method = "position entered",
-    by: By = None,
+    by: By = "",
     expires_days: Days = None,
     note: Note = "",
     json_: Json = False,
@@ -146,7 +152,7 @@ def club(
         str | None, argument("CLUB", "Club of the configuration.", shown="the mounted one")
     ] = None,
     method: Method = "values entered",
-    by: By = None,
+    by: By = "",
     expires_days: Days = None,
     note: Note = "",
     json_: Json = False,
@@ -172,7 +178,7 @@ def valves(
     dead_band: Annotated[Three, option("Overlap to either side of the centre.", "SHOULDER ARM WRIST")],
     uncertainty: Annotated[float, option("Standard uncertainty of both.", "OPENING")],
     method: Method = "values entered",
-    by: By = None,
+    by: By = "",
     expires_days: Days = None,
     note: Note = "",
     json_: Json = False,
@@ -253,7 +259,7 @@ def _add(
     kind: CalibrationKind,
     content: dict[str, Any],
     method: str,
-    by: str | None,
+    by: str,
     expires_days: int | None,
     note: str,
     json_: bool,
@@ -265,8 +271,9 @@ def _add(
     values = values_of(kind, content, f"calibrate {kind}")
     configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     require_plausible(values, configuration)
-    by = user_name() if by is None else by
-    entry = keep_calibration(configuration, values, now, by=by, method=method, note=note, days=expires_days)
+    entry = keep_calibration(
+        configuration, values, now, by=by or user_name(), method=method, note=note, days=expires_days
+    )
     if json_:
         show_json(entry.record())
     else:
@@ -289,7 +296,6 @@ def _require_pose(configuration: Configuration, angles: tuple[float, ...]) -> No
 
 
 def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) -> None:
-
     for i, count in enumerate(counts):
         if not 0 <= count < counts_per_revolution:
             location, expected = f"calibrate encoders: --counts[{i}]", f"0 to {counts_per_revolution - 1}"

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from math import pi, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from bench.base.errors import BenchError
-from bench.commands.common.options import Json, argument, flag, option
-from bench.commands.common.session import Session, at_terminal, show_json
+from bench.commands.common.command import (
+    Json,
+    Session,
+    argument,
+    at_terminal,
+    flag,
+    option,
+    show_json,
+    user_name,
+)
 
 if TYPE_CHECKING:
     from bench.calibration.ball_aerodynamics import BallAerodynamics, FlightUncertainty
@@ -23,14 +31,6 @@ if TYPE_CHECKING:
     from bench.commissioning.machine.inputs import OperatorIO
     from bench.commissioning.machine.machine_process import LiveRobot
     from bench.config import Configuration
-
-
-def _spread(metavar: str, figure: str) -> Any:
-    return typer.Option(min=0.0, metavar=metavar, help=f"{figure}: SD of the device from flight to flight.")
-
-
-def _shared(metavar: str, figure: str) -> Any:
-    return typer.Option(min=0.0, metavar=metavar, help=f"{figure}: standard uncertainty of its calibration.")
 
 
 BallName = Annotated[str, argument("BALL", "Ball model, as plans name it.")]
@@ -54,22 +54,23 @@ PointTable = Annotated[
 ]
 Mass = Annotated[float, option("Mass of the ball.", "G")]
 Diameter = Annotated[float, option("Diameter of the ball.", "MM")]
-SpeedScatter = Annotated[float, _spread("M/S", "Ball speed")]
-AngleScatter = Annotated[float, _spread("DEG", "Launch angle")]
-SpinScatter = Annotated[float, _spread("RPM", "Spin")]
-CarryScatter = Annotated[float, _spread("M", "Carry")]
-ApexScatter = Annotated[float, _spread("M", "Apex")]
-TimeScatter = Annotated[float, _spread("S", "Flight time")]
-PointScatter = Annotated[float, _spread("M", "Coordinates of a point")]
-SpeedError = Annotated[float, _shared("M/S", "Ball speed")]
-AngleError = Annotated[float, _shared("DEG", "Launch angle")]
-SpinError = Annotated[float, _shared("RPM", "Spin")]
-CarryError = Annotated[float, _shared("M", "Carry")]
-ApexError = Annotated[float, _shared("M", "Apex")]
-TimeError = Annotated[float, _shared("S", "Flight time")]
-PointError = Annotated[float, _shared("M", "Coordinates of points")]
+_SCATTER = {"speed": 0.3, "angle": 0.2, "spin": 100.0, "carry": 1.0, "apex": 0.5, "time": 0.05, "point": 0.01}
+"""Default standard deviations of a device: m/s, deg, rpm, m, m, s, m."""
+Scatter = Annotated[
+    list[str] | None,
+    option(
+        "SD of the device from flight to flight; repeatable. NAME: speed (m/s), angle (deg), spin (rpm), "
+        "carry, apex (m), time (s), point (m; coordinates of a trajectory).",
+        "NAME=VALUE",
+        shown=" ".join(f"{name}={value:g}" for name, value in _SCATTER.items()),
+    ),
+]
+Uncertainty = Annotated[
+    list[str] | None,
+    option("Standard uncertainty of its calibration, with the same names.", "NAME=VALUE", shown="0"),
+]
 Day = Annotated[str | None, option("Day of the measurement, YYYY-MM-DD.", "DATE", shown="today")]
-Measurer = Annotated[str | None, option("Who measured.", "NAME", shown="the user's name")]
+By = Annotated[str, option("Person who measured.", "NAME", shown="user@host")]
 Store = Annotated[bool, flag("--store/--no-store", "Store the result, or only print it.")]
 
 
@@ -81,22 +82,10 @@ def aerodynamics(
     points: PointTable = None,
     mass_g: Mass = 45.93,
     diameter_mm: Diameter = 42.67,
-    speed_scatter: SpeedScatter = 0.3,
-    angle_scatter_deg: AngleScatter = 0.2,
-    spin_scatter_rpm: SpinScatter = 100.0,
-    carry_scatter: CarryScatter = 1.0,
-    apex_scatter: ApexScatter = 0.5,
-    time_scatter: TimeScatter = 0.05,
-    point_scatter: PointScatter = 0.01,
-    speed_error: SpeedError = 0.0,
-    angle_error_deg: AngleError = 0.0,
-    spin_error_rpm: SpinError = 0.0,
-    carry_error: CarryError = 0.0,
-    apex_error: ApexError = 0.0,
-    time_error: TimeError = 0.0,
-    point_error: PointError = 0.0,
+    scatter: Scatter = None,
+    uncertainty: Uncertainty = None,
     measured: Day = None,
-    by: Measurer = None,
+    by: By = "",
     store: Store = True,
     json_: Json = False,
 ) -> None:
@@ -105,16 +94,11 @@ def aerodynamics(
     Campaigns with carry = "measured" fly every launch with the newest coefficients of its ball. The scatter
     of the device weights the figures; the uncertainty of its calibration is common to all flights and added.
     """
-    scatter = _uncertainty(
-        *(speed_scatter, angle_scatter_deg, spin_scatter_rpm),
-        *(carry_scatter, apex_scatter, time_scatter, point_scatter),
-    )
-    calibration = _uncertainty(
-        *(speed_error, angle_error_deg, spin_error_rpm), *(carry_error, apex_error, time_error, point_error)
-    )
+    spread = _uncertainty("--scatter", scatter or (), _SCATTER)
+    common = _uncertainty("--uncertainty", uncertainty or (), dict.fromkeys(_SCATTER, 0.0))
     day = _day(measured)
-    values = _fitted(ball, flights, points, scatter, calibration, mass_g / 1e3, diameter_mm / 2e3)
-    _keep(context, values, day, source, user_name() if by is None else by, store=store, json_=json_)
+    values = _fitted(ball, flights, points, spread, common, mass_g / 1e3, diameter_mm / 2e3)
+    _keep(context, values, day, source, by or user_name(), store=store, json_=json_)
 
 
 def _fitted(
@@ -183,13 +167,23 @@ def _keep(
         )
 
 
-def _uncertainty(
-    speed: float, angle_deg: float, spin_rpm: float, carry: float, apex: float, time: float, point: float
-) -> FlightUncertainty:
-
+def _uncertainty(option: str, given: Sequence[str], default: Mapping[str, float]) -> FlightUncertainty:
+    """Return the uncertainties by the texts NAME=VALUE that are `given`, else by `default`."""
     from bench.calibration.ball_aerodynamics import FlightUncertainty
 
-    return FlightUncertainty(speed, radians(angle_deg), spin_rpm * pi / 30, carry, apex, time, point)
+    values = dict(default)
+    for text in given:
+        name, _, number = text.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if name not in default or not 0.0 <= value < math.inf:
+            expected = f"NAME=VALUE of at least 0, with one of {', '.join(default)}"
+            raise BenchError(f"calibrate aerodynamics: {option}", repr(text), expected, f"Correct {option}.")
+        values[name] = value
+    angle, spin = radians(values.pop("angle")), values.pop("spin") * pi / 30
+    return FlightUncertainty(launch_angle=angle, spin=spin, **values)
 
 
 def _day(text: str | None) -> datetime:
@@ -211,20 +205,14 @@ def _day(text: str | None) -> datetime:
     return day
 
 
-def user_name() -> str:
-    """Return the name of this process' user; empty, which is refused, when it has none."""
-    import getpass
-
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return ""
+SIMULATED_TIMEOUT = 2.0
+"""Timeout of simulated hands (s)."""
 
 
 def inputs(
     context: typer.Context,
     sim: Annotated[bool, flag("--sim", "Simulate robot and hands in lock-step; nothing is stored.")] = False,
-    by: Annotated[str | None, option("Who checks.", "NAME", shown="the user's name")] = None,
+    by: By = "",
 ) -> None:
     """Check each interlock, button and switch, and compare the supply's sensor with its gauge.
 
@@ -238,7 +226,7 @@ def inputs(
     with _simulated(configuration) if simulated else _live(configuration) as (machine, hands):
         seen, findings = check_inputs(machine, hands, configuration, lambda what: typer.echo(what, err=True))
     if not simulated:
-        entry = keep_inputs(configuration, seen, user_name() if by is None else by)
+        entry = keep_inputs(configuration, seen, by or user_name())
         typer.echo(f"{entry.name} of bench {entry.bench}; expires {entry.expires:%Y-%m-%d %H:%M} UTC")
     raise_findings(findings)
     typer.echo(f"{len(seen.seen)} inputs seen to change: {', '.join(seen.seen)}.")

@@ -13,10 +13,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from bench.base.errors import BenchError
-from bench.commands.common.options import flag, option
-from bench.commands.common.output import plain_table
-from bench.commands.common.progress import paused, progress_bar
-from bench.commands.common.session import Session, at_terminal, show_json
+from bench.commands.common.command import Session, at_terminal, flag, option, show_json, user_name
+from bench.commands.common.output import paused, plain_table, progress_bar
 
 if TYPE_CHECKING:
     from bench.calibration.calibration import SeenInputs
@@ -49,7 +47,7 @@ Turn = Annotated[
 ]
 Resume = Annotated[bool, flag("--resume", "Continue after the last step done in DIR.")]
 Check = Annotated[bool, flag("--check", "Move nothing: check the files, and say what each step does.")]
-Json = Annotated[bool, flag("--json", "With --check: print JSON for a program to read.")]
+Json = Annotated[bool, flag("--json", "With --check: print JSON.")]
 
 
 def commission(
@@ -75,7 +73,7 @@ def commission(
 
     configuration = context.ensure_object(Session).configuration()
     simulated = sim or configuration.driver.name == "sim"
-    _require_possible(configuration, sim=sim, robot=robot, regulator=regulator)
+    _require_possible(configuration.driver.name, robot, regulator, simulated=simulated)
     truth = configuration if robot is None else load_configuration(robot)
     state = begin(output, configuration, simulated=simulated, resume=resume)
     state.robot = "" if robot is None else str(robot.resolve())
@@ -86,39 +84,25 @@ def commission(
         _show_steps(state, json_=json_)
         return
     load_casadi()  # a missing package must fail before the long part
-    _require_somebody_at_the_regulator(simulated=simulated, regulator=regulator)
+    if not (simulated or regulator is not None or at_terminal()):
+        action = "Name a program that turns the pressure regulator, or run the command in a terminal."
+        raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", action)
     _commission(state, configuration, truth, live=not sim, regulator=regulator)
     _show(state)
 
 
-def _require_possible(
-    configuration: Configuration, *, sim: bool, robot: Path | None, regulator: str | None
-) -> None:
-    """Refuse --robot without a simulated robot and --regulator with one.
+def _require_possible(driver: str, robot: Path | None, regulator: str | None, *, simulated: bool) -> None:
+    """Refuse --robot without a simulated robot, and --regulator with one.
 
     Raises:
         BenchError: the refused option.
     """
-    driver = configuration.driver
-    simulated = sim or driver.name == "sim"
     if robot is not None and not simulated:
         action = "Leave it out: the robot behind the driver is the one that it is."
-        raise BenchError("commission --robot", f"driver {driver.name!r}", "a simulated robot", action)
+        raise BenchError("commission --robot", f"driver {driver!r}", "a simulated robot", action)
     if regulator is not None and simulated:
         action = "Leave it out: the simulated regulator is turned without it."
         raise BenchError("commission --regulator", "a simulated robot", "a real one", action)
-
-
-def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None) -> None:
-    """Refuse a robot whose regulator neither a program nor a person at a terminal turns.
-
-    Raises:
-        BenchError: nothing has moved.
-    """
-    if simulated or regulator is not None or at_terminal():
-        return
-    action = "Name a program that turns the pressure regulator, or run the command in a terminal."
-    raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", action)
 
 
 def _commission(
@@ -182,7 +166,7 @@ def _see_inputs(
     progress: Callable[[str], None],
 ) -> None:
     """Do the step before all others; on hardware its result is a calibration."""
-    from bench.commands.machine.calibrate_measured import inputs_in_force, keep_inputs, user_name
+    from bench.commands.machine.calibrate_measured import inputs_in_force, keep_inputs
     from bench.commissioning.commissioning import see_inputs
 
     in_force = None if state.simulated else inputs_in_force(configuration, datetime.now(UTC))

@@ -1,4 +1,4 @@
-"""Checks of this machine: status, finding and advice for each item.
+"""`golfbench doctor`: checks of this machine, with status, finding and advice for each item.
 
 Nothing here raises or changes the machine. Checks that may end or change a process
 (imports of binary packages, real-time scheduling, memory locks) run in a child process, see
@@ -24,11 +24,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import typer
 from packaging.requirements import Requirement
-from rich.console import Group
+from rich.console import Console, Group
 from rich.text import Text
 
-from bench.commands.common.output import plain_table
+from bench.commands.common.command import Json, Session, exit_unless, show_json
+from bench.commands.common.output import plain_table, progress_bar
 from bench.supervisor.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK
 
 SCHEMA_VERSION = 1
@@ -48,6 +50,28 @@ _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
 _MODULES = {"eclipse-zenoh": "zenoh", "python-can": "can", "rerun-sdk": "rerun"}
 """Import name of a distribution where it is not the same word with underscores."""
+
+
+def doctor(context: typer.Context, json_: Json = False) -> None:
+    """Check this machine: packages, real time, memory, CAN, tools.
+
+    With hardware in the configuration also its CAN link, clock, interrupt thread and core.
+    Exits with 1 if something is missing that the simulation needs.
+    """
+    from bench.commands.machine.doctor_bench import all_probes
+
+    planned = all_probes(context.ensure_object(Session).configuration())
+    findings = []
+    with progress_bar() as progress:
+        task = progress.add_task(f"examining {planned[0].group}", total=len(planned))
+        for finding, following in zip(examine(planned), (*planned[1:], planned[-1]), strict=True):
+            findings.append(finding)
+            progress.update(task, advance=1, description=f"examining {following.group}")
+    if json_:
+        show_json(report(findings))
+    else:
+        Console().print(table(findings))
+    exit_unless(usable(findings))
 
 
 class CheckStatus(StrEnum):
@@ -71,7 +95,6 @@ class ItemResult(NamedTuple):
     status: CheckStatus
     value: str
     advice: str = ""
-    figures: dict[str, float] = {}  # noqa: RUF012 - never changed
 
 
 ok = functools.partial(ItemResult, CheckStatus.OK)
@@ -98,7 +121,6 @@ class Finding(NamedTuple):
     status: CheckStatus
     value: str
     advice: str
-    figures: dict[str, float]
 
 
 def examine(probes: Sequence[Probe]) -> Iterator[Finding]:
@@ -185,13 +207,12 @@ def processors() -> ItemResult:
     isolated = small_text("/sys/devices/system/cpu/isolated")
     governor = small_text("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
     value = f"{count}" + (f", isolated: {isolated}" if isolated else "")
-    figures = {"count": float(count)}
     if count < 2:
-        return limited(value, "the loop and the rest share one: give it two or more", figures)
+        return limited(value, "the loop and the rest share one: give it two or more")
     if governor == "powersave":
         advice = "clock rises late under load: cpupower frequency-set -g performance"
-        return limited(f"{value}, governor {governor}", advice, figures)
-    return ok(value + (f", governor {governor}" if governor else ""), figures=figures)
+        return limited(f"{value}, governor {governor}", advice)
+    return ok(value + (f", governor {governor}" if governor else ""))
 
 
 def virtual_machine() -> ItemResult:
@@ -206,10 +227,9 @@ def memory() -> ItemResult:
     lines = dict(line.split(":", 1) for line in small_text("/proc/meminfo").splitlines())
     available = int(lines["MemAvailable"].split()[0]) * 1024
     value = f"{available / GIBIBYTE:.1f} GiB available"
-    figures = {"available_bytes": float(available)}
     if available < 2 * GIBIBYTE:
-        return limited(value, "2 GiB are wanted: close other programs", figures)
-    return ok(value, figures=figures)
+        return limited(value, "2 GiB are wanted: close other programs")
+    return ok(value)
 
 
 def data_folder(data_dir: Path) -> ItemResult:
@@ -217,13 +237,12 @@ def data_folder(data_dir: Path) -> ItemResult:
     existing = _existing(data_dir)
     free = shutil.disk_usage(existing).free
     value = f"{data_dir.absolute()}: {free / GIBIBYTE:.1f} GiB free"
-    figures = {"free_bytes": float(free)}
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         advice = f"make {existing.absolute()} a folder you may write to, or set data_dir elsewhere"
-        return missing(f"{value}, not writable", advice, figures)
+        return missing(f"{value}, not writable", advice)
     if free < GIBIBYTE:
-        return limited(value, "a campaign of 100 swings may fill it: free 1 GiB", figures)
-    return ok(value, figures=figures)
+        return limited(value, "a campaign of 100 swings may fill it: free 1 GiB")
+    return ok(value)
 
 
 # Packages --------------------------------------------------------------------------------------------
@@ -269,7 +288,7 @@ def compiled_code() -> ItemResult:
         )
     if not functions:
         return limited(f"cold, will be kept in {folder}", "the first run compiles, later ones do not")
-    return ok(f"warm, {functions} functions in {folder}", figures={"functions": float(functions)})
+    return ok(f"warm, {functions} functions in {folder}")
 
 
 # Real time -------------------------------------------------------------------------------------------
@@ -290,12 +309,12 @@ def realtime_probes() -> Iterator[Probe]:
         return limited(f"{found['granted']}: {found['reason']}", found["action"])
 
     def wake_up() -> ItemResult:
-        figures: dict[str, float] = granted()["latency"]
-        value = "median {p50_us:.0f} µs, 99 % {p99_us:.0f} µs, longest {max_us:.0f} µs".format(**figures)
+        latency: dict[str, float] = granted()["latency"]
+        value = "median {p50_us:.0f} µs, 99 % {p99_us:.0f} µs, longest {max_us:.0f} µs".format(**latency)
         value += f" of 500 at 1 kHz, scheduling {granted()['settings'][SCHEDULING]['granted']}"
-        if figures["p99_us"] <= LATE * 1e6:
-            return ok(value, figures=figures)
-        return limited(value, "a quiet machine, SCHED_FIFO and PREEMPT_RT shorten it", figures)
+        if latency["p99_us"] <= LATE * 1e6:
+            return ok(value)
+        return limited(value, "a quiet machine, SCHED_FIFO and PREEMPT_RT shorten it")
 
     for item, name in (("SCHED_FIFO", SCHEDULING), (MEMORY, MEMORY), (SLACK, SLACK), (IDLE, IDLE)):
         yield Probe("real time", item, functools.partial(setting, name))
@@ -355,10 +374,9 @@ def clock() -> ItemResult:
     step = min((b - a for a, b in itertools.pairwise(stamps) if b > a), default=0)
     source = small_text("/sys/devices/system/clocksource/clocksource0/current_clocksource") or "unknown"
     value = f"resolution {stated * 1e9:.0f} ns, observed step {step} ns, source {source}"
-    figures = {"resolution_s": stated, "observed_step_s": step * 1e-9}
     if stated > 1e-6 or step > 5_000:
-        return limited(value, "too coarse for 1 kHz: boot with clocksource=tsc", figures)
-    return ok(value, figures=figures)
+        return limited(value, "too coarse for 1 kHz: boot with clocksource=tsc")
+    return ok(value)
 
 
 def _limit(value: int, unit: int = 1, name: str = "") -> str:

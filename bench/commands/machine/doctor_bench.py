@@ -9,12 +9,10 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError
 from bench.commands.machine.doctor import ItemResult, Probe, limited, missing, ok, probes, small_text
 from bench.config import Configuration
 from drivers.canopen.settings import CanopenSettings
@@ -35,17 +33,8 @@ _RT_PRIORITY = 40 - 3
 Ask = Callable[[str], str]
 
 
-def all_probes(read: Callable[[], Configuration], data_dir: Path | None) -> tuple[Probe, ...]:
-    """Return what to look at for the machine and, as far as `read` returns its configuration, for the bench.
-
-    Raises:
-        BenchError, ExceptionGroup: without a `data_dir` the configuration is needed, and it is invalid.
-    """
-    if data_dir is not None:
-        with suppress(BenchError, ExceptionGroup):
-            return (*probes(data_dir), *bench_probes(read()))
-        return probes(data_dir)
-    configuration = read()
+def all_probes(configuration: Configuration) -> tuple[Probe, ...]:
+    """Return what to look at for the machine and for the bench of `configuration`."""
     return (*probes(configuration.bench.data_dir), *bench_probes(configuration))
 
 
@@ -125,20 +114,17 @@ def bit_timing(settings: CanopenSettings, link: Mapping[str, Any]) -> ItemResult
     set_up = f"ip link set {settings.channel} down; ip link set {settings.channel} up type can bitrate "
     if not rate:
         return missing("no bit rate is set", f"{set_up}{settings.bitrate}")
-    value, figures = (
-        f"{rate} bit/s, sample point {point:.3f}",
-        {"bitrate": float(rate), "sample_point": point},
-    )
+    value = f"{rate} bit/s, sample point {point:.3f}"
     if rate != settings.bitrate:
         advice = f"{set_up}{settings.bitrate}, or correct canopen.bitrate"
-        return missing(f"{value}, not {settings.bitrate}", advice, figures)
+        return missing(f"{value}, not {settings.bitrate}", advice)
     if not SAMPLE_POINT[0] <= point <= SAMPLE_POINT[1]:
         advice = f"{set_up}{rate} sample-point 0.875; long lines fail first otherwise"
-        return limited(value, advice, figures)
+        return limited(value, advice)
     if not facts.get("restart_ms"):
         advice = f"{set_up}{rate} restart-ms 100"
-        return limited(f"{value}, stays off after bus-off", advice, figures)
-    return ok(value, figures=figures)
+        return limited(f"{value}, stays off after bus-off", advice)
+    return ok(value)
 
 
 def errors(channel: str, link: Mapping[str, Any], root: Path) -> ItemResult:
@@ -146,41 +132,37 @@ def errors(channel: str, link: Mapping[str, Any], root: Path) -> ItemResult:
     facts, seen = _info(link), link.get("linkinfo", {}).get("info_xstats", {})
     state, counter = str(facts.get("state", "unknown")), facts.get("berr_counter", {})
     sent, received = int(counter.get("tx", 0)), int(counter.get("rx", 0))
-    figures = {"tx_errors": float(sent), "rx_errors": float(received)} | {
-        name: float(seen[name]) for name in ("bus_error", "error_passive", "bus_off") if name in seen
-    }
     value = f"{state}, counters {sent} sending, {received} receiving"
-    if figures.get("bus_off"):
-        value += f", {figures['bus_off']:.0f} times bus-off"
+    if seen.get("bus_off"):
+        value += f", {seen['bus_off']} times bus-off"
     if state == "STOPPED":
-        return missing(value, f"ip link set {channel} up", figures)
+        return missing(value, f"ip link set {channel} up")
     if state == "BUS-OFF" or sent >= _WARNING:
         advice = (
             "no node acknowledges, or the line is shorted or open: measure 60 ohms between CAN_H and CAN_L "
             "with power off (120: one terminator is missing, 40: one too many), then the nodes' bit rate"
         )
-        return limited(value, advice, figures)
+        return limited(value, advice)
     dropped = int(small_text(root / f"sys/class/net/{channel}/statistics/rx_over_errors") or 0)
     if dropped:
         advice = "the card's buffer overflows: raise its interrupt thread's priority, or use another card"
-        return limited(f"{value}, {dropped} frames lost in the card", advice, figures)
-    if received or figures.get("error_passive") or figures.get("bus_off"):
+        return limited(f"{value}, {dropped} frames lost in the card", advice)
+    if received or seen.get("error_passive") or seen.get("bus_off"):
         advice = (
             "frames are disturbed: check both terminators (60 ohms with power off), stubs below 0.3 m, the "
             "shield's one ground, and a node with another bit rate"
         )
-        return limited(value, advice, figures)
-    return ok(value, figures=figures)
+        return limited(value, advice)
+    return ok(value)
 
 
 def send_queue(channel: str, root: Path) -> ItemResult:
     """Look at the length of the link's send queue: the kernel's 10 frames do not hold a busy tick."""
     length = int(small_text(root / f"sys/class/net/{channel}/tx_queue_len") or 0)
-    figures = {"frames": float(length)}
     if length < MIN_QUEUE:
         advice = f"ip link set {channel} txqueuelen {4 * MIN_QUEUE}"
-        return limited(f"{length} frames", advice, figures)
-    return ok(f"{length} frames", figures=figures)
+        return limited(f"{length} frames", advice)
+    return ok(f"{length} frames")
 
 
 def card(channel: str, root: Path) -> ItemResult:
@@ -207,13 +189,12 @@ def interrupt_thread(channel: str, priority: int, cpu: int, root: Path) -> ItemR
     pid, number, found = min(threads, key=lambda thread: thread[2])
     cores = _cores(small_text(root / f"proc/irq/{number}/smp_affinity_list"))
     value = f"irq {number} with priority {found}, the loop has {priority}"
-    figures = {"priority": float(found)}
     if found > priority or (cpu >= 0 and cores and cpu not in cores):
-        return ok(value, figures=figures)
+        return ok(value)
     advice = f"frames wait behind the loop: chrt -f -p {min(99, priority + 5)} {pid}"
     if cpu >= 0:
         advice += f", or keep it off core {cpu}: /proc/irq/{number}/smp_affinity_list"
-    return limited(value, advice, figures)
+    return limited(value, advice)
 
 
 def _interrupt_threads(channel: str, root: Path) -> Iterator[tuple[int, int, int]]:

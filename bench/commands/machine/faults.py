@@ -6,26 +6,28 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.table import Table
 
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
-from bench.commands.common.options import (
+from bench.commands.common.command import (
     ClusterAddress,
     Json,
     Processes,
     ProfileName,
+    Session,
     argument,
+    exit_unless,
     flag,
     option,
     sweep_engine,
 )
-from bench.commands.common.output import console_of, write_text
-from bench.commands.common.progress import progress_of
-from bench.commands.common.session import Session, exit_unless
+from bench.commands.common.output import console_of, progress_of, write_text
 
 if TYPE_CHECKING:
     from bench.faults.catalogue import Breakage
@@ -81,7 +83,6 @@ def run(
 
     Writes matrix.html, matrix.json and cases.jsonl. Exits with 1 if a case ends unsafe.
     """
-    from bench.commands.machine.faults_page import matrix_table, reasons_table
     from bench.faults.catalogue import FAMILIES
     from bench.faults.matrix import fault_study, plan_matrix
     from bench.faults.summary import PHASES, summary_text
@@ -117,7 +118,6 @@ def run(
 
 
 def _write(folder: Path, summary: dict[str, Any]) -> None:
-    from bench.commands.machine.faults_page import matrix_page
     from bench.faults.summary import summary_text
     from bench.records.telemetry.atomic_file import atomic_file
 
@@ -128,7 +128,6 @@ def _write(folder: Path, summary: dict[str, Any]) -> None:
 
 
 def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
-
     if unknown := sorted(set(given) - set(known)):
         raise BenchError(
             option, ", ".join(unknown), f"one of {', '.join(known)}", f"Give {option} one of these."
@@ -138,7 +137,6 @@ def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> N
 def _matrix(
     study: FaultStudy, folder: Path, plan: MatrixPlan, compare: bool, engine: Engine
 ) -> dict[str, Any]:
-
     from bench.faults.summary import compare as compared
     from bench.faults.summary import origin_of, summarise
 
@@ -184,6 +182,64 @@ def _outcomes(
     return outcomes, store.seconds
 
 
+_MARKS = {
+    "irrelevant": "·",
+    "harmless": "○",
+    "safe": "●",
+    "undetected": "?",
+    "unsafe": "[bold red]✗[/bold red]",
+}
+
+
+def matrix_table(summary: dict[str, Any]) -> Table:
+    """Return one row a fault and one column a phase, the worst verdict of each."""
+    from bench.faults.summary import PHASES
+
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in summary["verdicts"].items())
+    table = Table(
+        title=f"{summary['cases']} cases: {verdicts}; {summary['left_out_by_rule']} pairs left out by rule",
+        caption="● detected and safe  ○ harmless  ? undetected, another shot or pose  "
+        "✗ unsafe  · left out by rule",
+    )
+    table.add_column("fault")
+    for phase in PHASES:
+        table.add_column(phase.replace("-", "\n"), justify="center")
+    for heading in ("ticks", "most energy"):
+        table.add_column(heading, justify="right")
+    for row in summary["rows"]:
+        ticks = row["detection_ticks"]
+        table.add_row(
+            row["breakage"],
+            *(_MARKS[row["phases"].get(phase, {}).get("verdict", "irrelevant")] for phase in PHASES),
+            f"{ticks[0]}-{ticks[-1]}" if ticks else "",
+            f"{100 * row['worst_stop']:.0f} %" if row["worst_stop"] else "",
+        )
+    return table
+
+
+def reasons_table(summary: dict[str, Any]) -> Table:
+    """Return the faults that end unsafe, with instants and reasons."""
+    table = Table("fault", "unsafe", "reasons", title="Unsafe ends", box=None)
+    for row in summary["rows"]:
+        if unsafe := row["verdicts"].get("unsafe", 0):
+            table.add_row(row["breakage"], str(unsafe), "\n".join(row["reasons"][:4]))
+    return table
+
+
+def matrix_page(summary: dict[str, Any], comparison: list[dict[str, Any]] | None = None) -> str:
+    """Return the page: one file without external resources."""
+    import jinja2
+
+    from bench.faults.hazard_file import next_swing_text
+    from bench.faults.summary import PHASES
+
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    template = environment.from_string((files("bench.faults") / "page.html.j2").read_text(encoding="utf-8"))
+    return template.render(
+        summary=summary, next_swing=next_swing_text(summary), phases=PHASES, comparison=comparison or []
+    )
+
+
 @app.command()
 def table(
     matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
@@ -200,12 +256,11 @@ def table(
 def hazard_file_of(
     matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
-    judgement: Annotated[Path | None, option("Assessment file.", "TOML", shown="golfbench's own")] = None,
 ) -> None:
     """Write the hazard file: failure modes, safety functions and hazards to people, as in sim/HAZARDS.md."""
     from bench.faults.hazard_file import FILE, hazard_file, load_judgement
 
-    judged = load_judgement(judgement or FILE)
+    judged = load_judgement(FILE)
     write_text(_from_matrix(matrix, lambda summary: hazard_file(summary, judged)), output)
 
 

@@ -1,29 +1,29 @@
-"""`golfbench size`: from a demand to hardware, as a front of candidates with their configurations."""
+"""`golfbench size`, `golfbench draw`: hardware for a head speed; the configured hardware as drawings."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from math import degrees, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from rich.console import Console
 from rich.table import Table
 
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
-from bench.commands.common.options import ClusterAddress, Processes, option, sweep_engine
-from bench.commands.common.output import console_of
-from bench.commands.common.progress import progress_of_steps
-from bench.commands.common.session import Session
+from bench.commands.common.command import ClubName, ClusterAddress, Processes, Session, option, sweep_engine
+from bench.commands.common.output import console_of, plain_table, progress_of_steps
 
 if TYPE_CHECKING:
-    from bench.design.sizing.catalogue import Catalogue
     from bench.design.sizing.hardware import Hardware
-    from bench.design.sizing.search import SizingRun, SizingSearch
-    from bench.design.sizing.study import SizedPoint, SizingDemand
+    from bench.design.sizing.search import SizingGrid, SizingRun
+    from bench.design.sizing.study import SizedPoint
+    from bench.viewer.drawing.model_files import MassRow
+    from sim.plant import PlantParameters
 
 _PIPED_WIDTH = 190
 """Columns of the table in a file or pipe."""
@@ -31,17 +31,16 @@ _PIPED_WIDTH = 190
 Output = Annotated[Path | None, option("Folder of results.", "DIR", shown="DATA_DIR/sizing")]
 Speed = Annotated[float, option("Head speed at the ball.", "M_PER_S", low=5.0, high=80.0)]
 Attack = Annotated[float, option("Attack angle, + up.", "DEG", low=-8.0, high=8.0)]
-ClubName = Annotated[str | None, option("Club to swing.", "NAME", shown="the configuration's")]
 PartsFile = Annotated[Path | None, option("Catalogue of parts, TOML.", "FILE", shown="golfbench's own")]
-Names = Annotated[list[str] | None, option("Part of the grid; repeatable.", "NAME")]
-NamesOrNone = Annotated[
-    list[str] | None, option('Part of the grid, or "none"; repeatable.', "NAME", shown="none, as shipped")
+Grid = Annotated[
+    list[str] | None,
+    option(
+        "Value of the grid in place of its defaults; repeatable. KEY: vane, cylinder, valve, absorbers "
+        "(ARM,WRIST), pressure_bar (absolute), lever_mm (of the wrist), lever_angle (its mounting, deg), "
+        'frame, hose, vent (or "none").',
+        "KEY=VALUE",
+    ),
 ]
-Absorbers = Annotated[list[str] | None, option("Pair of absorbers of the grid; repeatable.", "ARM,WRIST")]
-Pressures = Annotated[list[float] | None, option("Regulated pressure, bar absolute; repeatable.", "BAR")]
-Levers = Annotated[list[float] | None, option("Wrist's lever; repeatable.", "MM")]
-Angles = Annotated[list[float] | None, option("Mounting angle of that lever; repeatable.", "DEG")]
-Rounds = Annotated[int, option("Rounds of cheaper parts around the cheapest that will do.", low=0)]
 Swings = Annotated[int, option("Candidates whose whole swing is designed at the demanded speed.", low=0)]
 FaultSpacing = Annotated[
     int, option("Ticks between tried faults; 0: none.", "TICKS", low=0, names="--faults")
@@ -55,17 +54,7 @@ def size(
     attack: Attack = 0.0,
     club: ClubName = None,
     catalogue: PartsFile = None,
-    vane: Names = None,
-    cylinder: Names = None,
-    valve: Names = None,
-    absorbers: Absorbers = None,
-    pressure_bar: Pressures = None,
-    lever_mm: Levers = None,
-    lever_angle: Angles = None,
-    frame: Names = None,
-    hose: NamesOrNone = None,
-    vent: NamesOrNone = None,
-    rounds: Rounds = 2,
+    grid: Grid = None,
     swings: Swings = 1,
     faults: FaultSpacing = 0,
     processes: Processes = 0,
@@ -78,20 +67,17 @@ def size(
     front the whole swing is designed on the plant. Results are reused when the command is run again.
     """
     from bench.design.sizing.catalogue import load_catalogue, shipped_catalogue
-    from bench.design.sizing.search import SizingRun
+    from bench.design.sizing.search import SizingRun, SizingSearch
+    from bench.design.sizing.study import SizingDemand
 
     configuration = context.ensure_object(Session).configuration()
     known = shipped_catalogue() if catalogue is None else load_catalogue(catalogue)
-    search = _search(
-        known,
-        (vane, cylinder, valve, absorbers, frame, hose, vent),
-        (pressure_bar, lever_mm, lever_angle),
-        (rounds, swings, faults),
-    )
-    demand = _demand(speed, attack, club or configuration.swing.club)
+    search = SizingSearch(_grid(grid or ()), swings=swings, spacing=faults)
+    cases = len(search.grid.candidates(known))  # refuses unknown parts before the long part
+    demand = SizingDemand(speed, radians(attack), club or configuration.swing.club)
     folder = output or configuration.bench.data_dir / "sizing"
     with (
-        sweep_engine(configuration, processes, cluster, len(search.grid.candidates(known))) as engine,
+        sweep_engine(configuration, processes, cluster, cases) as engine,
         deferred_interrupt() as asked,
         progress_of_steps() as show,
     ):
@@ -100,57 +86,51 @@ def size(
     _report(run, points, folder)
 
 
-def _demand(speed: float, attack: float, club: str) -> SizingDemand:
-    from bench.design.sizing.study import SizingDemand
+def _pair(text: str) -> tuple[str, str]:
+    arm, wrist = text.split(",")
+    if not arm or not wrist:
+        raise ValueError(text)
+    return arm, wrist
 
-    return SizingDemand(speed, radians(attack), club)
+
+def _or_none(text: str) -> str:
+    return "" if text == "none" else text
 
 
-def _search(
-    catalogue: Catalogue,
-    parts: tuple[list[str] | None, ...],
-    numbers: tuple[list[float] | None, ...],
-    depth: tuple[int, int, int],
-) -> SizingSearch:
-    """Return the search over the options' values; the grid's defaults replace omitted options.
+_GRID: Mapping[str, tuple[str, Callable[[str], Any]]] = {
+    "vane": ("vanes", str),
+    "cylinder": ("cylinders", str),
+    "valve": ("valves", str),
+    "absorbers": ("absorbers", _pair),
+    "pressure_bar": ("pressures", lambda text: 1e5 * float(text)),
+    "lever_mm": ("levers", lambda text: 1e-3 * float(text)),
+    "lever_angle": ("lever_angles", lambda text: radians(float(text))),
+    "frame": ("frames", str),
+    "hose": ("hoses", _or_none),
+    "vent": ("vents", _or_none),
+}
+"""Field of the grid by key, and what reads a value."""
+
+
+def _grid(given: Sequence[str]) -> SizingGrid:
+    """Return the grid with the values `given` as KEY=VALUE; its defaults replace omitted keys.
 
     Raises:
-        BenchError: a part is not in the catalogue, or absorbers are no pair.
+        BenchError: a key is unknown, or a value cannot be read.
     """
-    from bench.design.sizing.search import SizingGrid, SizingSearch
+    from bench.design.sizing.search import SizingGrid
 
-    vanes, cylinders, valves, absorbers, frames, hoses, vents = parts
-    pressures, levers, angles = numbers
-    own = SizingGrid()
-    grid = SizingGrid(
-        tuple(vanes or own.vanes),
-        tuple(cylinders or own.cylinders),
-        tuple(valves or own.valves),
-        tuple(_pair(text) for text in absorbers) if absorbers else own.absorbers,
-        tuple(1e5 * bar for bar in pressures) if pressures else own.pressures,
-        tuple(1e-3 * lever for lever in levers) if levers else own.levers,
-        tuple(radians(angle) for angle in angles) if angles else own.lever_angles,
-        tuple(frames or own.frames),
-        _or_none(hoses, own.hoses),
-        _or_none(vents, own.vents),
-    )
-    grid.candidates(catalogue)  # refuses unknown parts before the long part
-    return SizingSearch(grid, *depth)
-
-
-def _or_none(names: list[str] | None, own: tuple[str, ...]) -> tuple[str, ...]:
-    """Return parts that may be left out, written "none", or the grid's `own`."""
-    return tuple("" if name == "none" else name for name in names) if names else own
-
-
-def _pair(text: str) -> tuple[str, str]:
-
-    arm, separator, wrist = text.partition(",")
-    if not separator or not arm or not wrist:
-        raise BenchError(
-            "--absorbers", repr(text), "two absorbers, ARM,WRIST", "Give both, as in --absorbers A40,A90."
-        )
-    return arm, wrist
+    values: dict[str, list[Any]] = {}
+    for text in given:
+        key, _, value = text.partition("=")
+        try:
+            field, read = _GRID[key]
+            values.setdefault(field, []).append(read(value))
+        except (KeyError, ValueError):
+            expected = f"KEY=VALUE with one of {', '.join(_GRID)}"
+            action = "Give a part of the catalogue or a number; two absorbers as ARM,WRIST."
+            raise BenchError("--grid", repr(text), expected, action) from None
+    return SizingGrid(**{field: tuple(found) for field, found in values.items()})
 
 
 def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
@@ -226,3 +206,79 @@ def _swing_cells(point: SizedPoint) -> tuple[str, ...]:
         f"{swing.unsafe}, stuck valves {swing.stuck_unsafe}, of {swing.cases}" if swing.cases else "not tried"
     )
     return (f"{swing.speed:.2f}", f"{1e3 * swing.air:.0f}", f"{swing.peak_pressure / 1e5:.1f}", shares, tried)
+
+
+# Drawings --------------------------------------------------------------------------------------------
+
+DrawingFormat = Literal["step", "gltf", "urdf"]
+
+
+def draw(
+    context: typer.Context,
+    output: Annotated[Path, option("Folder for the files; made if it is missing.", "DIR")] = Path("drawing"),
+    format_: Annotated[
+        DrawingFormat | None,
+        option("One format.", shown="all; step only with the extra cad", names="--format"),
+    ] = None,
+    club: Annotated[str | None, option("Club in the mount.", "NAME", shown="the configuration's")] = None,
+) -> None:
+    """Draw the configured robot with stand, drive, tee and guard, and compare its masses.
+
+    robot.step is for a workshop (mm), robot.glb for people, golfbench.urdf with meshes for simulators (m).
+    masses.csv has mass, centre of mass and inertia as drawn and as in the dynamics. Files are replaced.
+    """
+    from bench.viewer.drawing.model_files import mass_rows, write_mass_table
+
+    configuration = context.ensure_object(Session).configuration()
+    plant = configuration.plant_with(club=club)
+    output.mkdir(parents=True, exist_ok=True)
+    rows = mass_rows(plant)
+    for path in _write(output, plant, configuration.envelope.min_frame_distance, format_):
+        typer.echo(str(path))
+    path = output / "masses.csv"
+    write_mass_table(path, rows)
+    typer.echo(str(path))
+    console = Console()
+    console.print(mass_table(rows))
+    for row in rows:
+        console.print(f"[bold]{row.body.replace('_', ' ')}[/bold]: {row.reason}")
+
+
+def _write(
+    output: Path, plant: PlantParameters, min_frame_distance: float, format_: DrawingFormat | None
+) -> list[Path]:
+    """Write one format or all; return the files to name."""
+    from importlib.util import find_spec
+
+    from bench.viewer.drawing.drawing import placed
+    from bench.viewer.drawing.model_files import write_gltf, write_step, write_urdf
+
+    written = []
+    bodies = placed(plant)
+    if format_ in (None, "gltf"):
+        written.append(output / "robot.glb")
+        write_gltf(written[-1], bodies)
+    if format_ in (None, "urdf"):
+        written += write_urdf(output, plant, min_frame_distance)[-2:]
+    if format_ == "step" or (format_ is None and find_spec("build123d") is not None):
+        written.append(output / "robot.step")
+        write_step(written[-1], bodies)
+    elif format_ is None:
+        typer.echo('no robot.step: that needs build123d (pip install "golfbench[cad]")', err=True)
+    return written
+
+
+def mass_table(rows: list[MassRow]) -> Table:
+    """Return the masses as a table: assumed in the dynamics, then drawn; pins and bores within the latter."""
+    figures = ("mass kg", "centre m", "inertia kg m²", "pins, bores kg")
+    title = "Masses: assumed in the dynamics / drawn"
+    table = plain_table("body", *figures, right=figures, title=title, title_justify="left")
+    for row in rows:
+        table.add_row(
+            row.body.replace("_", " "),
+            f"{row.mass_assumed_kg:.4f} / {row.mass_drawn_kg:.4f}",
+            f"{row.com_x_assumed_m:.4f} / {row.com_x_drawn_m:.4f}",
+            f"{row.inertia_assumed_kg_m2:.5f} / {row.inertia_drawn_kg_m2:.5f}",
+            f"{row.pins_kg:+.4f}",
+        )
+    return table

@@ -10,10 +10,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from bench.commands.common.options import Json, ProfileName
-from bench.commands.common.output import finite, plain_table
-from bench.commands.common.progress import progress_bar
-from bench.commands.common.session import Session, exit_unless, show_json
+from bench.commands.common.command import Json, ProfileName, Session, exit_unless, show_json
+from bench.commands.common.output import finite, plain_table, progress_bar
 
 if TYPE_CHECKING:
     from bench.control.law.gain_scheduling import MachineGains

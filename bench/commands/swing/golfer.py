@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.table import Table
 
 from bench.base.errors import BenchError
-from bench.commands.common.options import Json, Plot, argument, option, require_picture
-from bench.commands.common.output import console_of, finite
-from bench.commands.common.session import Session, show_json
+from bench.commands.common.command import Json, Plot, Session, argument, option, require_picture, show_json
+from bench.commands.common.output import console_of, finite, plain_table
 
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.golfer.comparison import MotionDeviation, SwingMotion
     from bench.golfer.golfer_file import ImportOptions
+    from bench.golfer.roles import Roles
     from sim.plant import PlantParameters
 
 app = typer.Typer(no_args_is_help=True)
 
 _NAME = re.compile(r"[\w][\w .-]{0,99}")
+PIPED_WIDTH = 160
+"""Columns of a comparison in a file or pipe."""
+_JOINTS = ("shoulders θ1", "lead arm θ2", "wrist θ3")
 
 
 Recording = Annotated[Path, argument("FILE", "Recording: .c3d, .trc, .csv or .bvh.")]
@@ -32,7 +37,6 @@ Name = Annotated[str | None, option("Name of the result.", "NAME", shown="the fi
 Lead = Annotated[str | None, option("Lead side, to be verified.", "left|right", shown="found")]
 Up = Annotated[str | None, option("Up axis, -z for z down.", "x|y|z", shown="found")]
 Events = Annotated[str | None, option("Events (s) in the file's time.", "top=S,impact=S", shown="found")]
-Cutoff = Annotated[str, option("Cut-offs of the filter (Hz); hands 5/3 of the body's.", "BODY,HEAD")]
 Output = Annotated[Path, option("Folder of the result.", "DIR")]
 
 
@@ -55,7 +59,6 @@ def import_(
     lead: Lead = None,
     up: Up = None,
     events: Events = None,
-    cutoff: Cutoff = "15,50",
     output: Output = Path(),
     plot: Plot = None,
     json_: Json = False,
@@ -65,14 +68,13 @@ def import_(
     Writes NAME.golfer.toml and its table. A recording without a club gives shoulders and arm only. Files of
     GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.
     """
-    from bench.commands.swing.golfer_tables import import_report
     from bench.golfer.comparison import beyond_ranges
     from bench.golfer.golfer_file import save_golfer, summary
     from bench.golfer.measuring import measure
     from bench.golfer.recording import read_capture
     from bench.golfer.roles import find_roles
 
-    options = _import_options(lead, up, events, cutoff)
+    options = _import_options(lead, up, events)
     require_picture(plot)
     title = file.stem if name is None else name
     _require_destination(title, output)
@@ -111,7 +113,6 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
     Swings are NAME.golfer.toml, model:NAME of a built-in golfer, or profiles by name or path. Without swings
     each built-in golfer's model is compared with the profile that follows it.
     """
-    from bench.commands.swing.golfer_tables import PIPED_WIDTH, beyond_text, comparison_table
     from bench.golfer.comparison import beyond_ranges, compare_motions
 
     require_picture(plot)
@@ -203,16 +204,14 @@ def _require_destination(name: str, folder: Path) -> None:
         raise BenchError("--output", str(folder), "a folder that exists", "Make the folder, or name another.")
 
 
-def _import_options(lead: str | None, up: str | None, events: str | None, cutoff: str) -> ImportOptions:
+def _import_options(lead: str | None, up: str | None, events: str | None) -> ImportOptions:
     """Return the checked options of an import."""
     from bench.golfer.golfer_file import ImportOptions
 
-    return ImportOptions(
-        _choice("--lead", lead, ("left", "right")),
-        _choice("--up", up, ("x", "y", "z", "-x", "-y", "-z")),
-        **_events(events),
-        cutoff=_cutoff(cutoff),
-    )
+    lead = _choice("--lead", lead, ("left", "right"))
+    up = _choice("--up", up, ("x", "y", "z", "-x", "-y", "-z"))
+    known = _events(events)
+    return ImportOptions(lead, up, known.get("top"), known.get("impact"))
 
 
 def _choice(option: str, given: str | None, choices: tuple[str, ...]) -> str:
@@ -235,13 +234,75 @@ def _events(text: str | None) -> dict[str, float]:
     return found
 
 
-def _cutoff(text: str) -> tuple[float, float]:
-    try:
-        body, head = (float(part) for part in text.split(","))
-    except ValueError:
-        raise BenchError(
-            "--cutoff", text[:40], "two frequencies (Hz), as 15,50", "Correct --cutoff."
-        ) from None
-    if not (2.0 <= body <= 200.0 and 2.0 <= head <= 500.0):
-        raise BenchError("--cutoff", text[:40], "2 to 200 and 2 to 500 Hz", "Correct --cutoff.")
-    return body, head
+# Tables ----------------------------------------------------------------------------------------------
+
+
+def import_report(found: Mapping[str, Any], roles: Roles, beyond: Sequence[float]) -> Iterator[Table | str]:
+    """Yield the tables and lines of an import; `found` is its summary."""
+    yield f"Recording: {found['frames']} frames at {found['rate_hz']:g} Hz"
+    yield f"  unit      {found['unit']}"
+    yield f"  up        {found['up']}"
+    yield f"  lead      {found['lead']}, {found['lead_clue']}"
+    yield f"  impact    {found['impact_s']:.3f} s, by {found['impact_clue']}"
+    turn = "" if found["club_top_s"] is None else f"; the shaft turns back at {found['club_top_s']:.3f} s"
+    yield f"  top       {found['top_s']:.3f} s, by {found['top_clue']}{turn}"
+    yield f"  downswing {found['downswing_s']:.3f} s"
+    yield f"  plane     {found['plane_deg']:.1f}° from the ground"
+    gaps = ", ".join(f"{role} {count}" for role, count in found["gaps_filled"].items() if count)
+    yield f"  gaps      {f'{gaps} frames filled' if gaps else 'none'}"
+    if roles.dropped:
+        yield f"  left out  {', '.join(roles.dropped)}: missing in too many frames"
+    yield _angles(found)
+    if found["max_cock_deg"] is not None:
+        yield f"Largest cock of the wrist {found['max_cock_deg']:.0f}°"
+    head = found["head_speed_mps"]
+    speed = "" if head is None else f"head {head:.1f} m/s, "
+    hands, peak = found["hand_speed_mps"], found["peak_hand_speed_mps"]
+    yield f"At the ball: {speed}hands {hands:.1f} m/s (peak {peak:.1f})"
+    if found["x_factor_top_deg"] is not None:
+        at_top, most = found["x_factor_top_deg"], found["x_factor_max_deg"]
+        yield f"X-factor: {at_top:.0f}° at the top, {most:.0f}° at most"
+    off = ", ".join(
+        f"{role.replace('_', ' ')} {value:.0f}" for role, value in found["off_plane_rms_mm"].items()
+    )
+    x, y = found["hub_travel_mm"]
+    yield f"A planar robot cannot show: {off} mm off the plane (rms); shoulders travel {x:.0f} by {y:.0f} mm"
+    yield beyond_text(beyond)
+    if found["not_measured"]:
+        yield f"Not measured: {'; '.join(found['not_measured'])}"
+
+
+def _angles(found: Mapping[str, Any]) -> Table:
+    figures = ("top, °", "ball, °", "peak, rad/s")
+    table = plain_table("joint", *figures, right=figures)
+    columns = [found[key] for key in ("theta_top_deg", "theta_ball_deg", "peak_joint_speed_rad_per_s")]
+    for joint, name in enumerate(_JOINTS):
+        cells = [column[joint] for column in columns]
+        table.add_row(name, *("not measured" if cell is None else f"{cell:.1f}" for cell in cells))
+    return table
+
+
+def beyond_text(excess: Sequence[float]) -> str:
+    """Return the text of the excess beyond the ranges of shoulder (rad), right arm (m) and wrist (rad)."""
+    parts = zip(("shoulder", "right arm", "wrist"), excess, ("rad", "m", "rad"), strict=True)
+    out = [f"{name} {value:.2f} {unit}" for name, value, unit in parts if value >= 0.005]
+    return f"Beyond the machine's ranges: {', '.join(out) if out else 'nothing that was measured'}"
+
+
+def comparison_table(rows: Sequence[MotionDeviation]) -> Table:
+    """Return a table with a row per deviation: per cent with degrees or mm, speeds and downswings."""
+    from bench.golfer.comparison import DEFINITION, HUNT_WIENS, deviation_texts
+
+    caption = (
+        f"{DEFINITION}; angles in °, head in mm. Hunt and Wiens report {100 * HUNT_WIENS:.1f} % undefined."
+    )
+    figures = ("shoulder", "arm", "wrist", "head", "m/s", "downswing, s")
+    table = plain_table("reference", "swing", *figures, right=figures, caption=caption)
+    table.caption_justify = "left"
+    for row in rows:
+        cells = deviation_texts(row.share, row.error)
+        pair = (row.reference, row.other)
+        speeds = " ".join("-" if isnan(one.head_speed) else f"{one.head_speed:.1f}" for one in pair)
+        lasting = " ".join(f"{one.downswing:.3f}" for one in pair)
+        table.add_row(*(f"{one.name}, {one.source}" for one in pair), *cells, speeds, lasting)
+    return table

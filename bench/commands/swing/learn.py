@@ -9,15 +9,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, TaskID
+from rich.progress import Progress
 from rich.table import Table
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT
-from bench.commands.common.options import ClubName, Json, argument, flag, known_profiles, option
-from bench.commands.common.output import plain_table
-from bench.commands.common.progress import paused, progress_bar
-from bench.commands.common.session import Session, exit_unless, show_json
+from bench.commands.common.command import (
+    ClubName,
+    Json,
+    Session,
+    argument,
+    exit_unless,
+    flag,
+    known_profiles,
+    option,
+    show_json,
+)
+from bench.commands.common.output import paused, plain_table, progress_bar
 from bench.swing.correction_terms import Source
 
 if TYPE_CHECKING:
@@ -29,8 +37,6 @@ if TYPE_CHECKING:
 
 _FACE = 60.0
 """mm from its centre, beyond which no mark is read."""
-_LEARNING = "learning swings"
-"""Text of the bar."""
 
 SwingName = Annotated[str, argument("SWING", "Name or path of a profile.", complete=known_profiles)]
 Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step, without a running bench.")]
@@ -138,8 +144,7 @@ def _learn_in_lock_step(bench: Bench, robot: PlantParameters, swings: int) -> Le
 
     with progress_bar() as bar:
         problem = _problem(bench, bar)
-        task = bar.add_task(_LEARNING, total=swings + 1)
-        return _result(problem, on_series(problem, Series(bench, robot)), swings, bar, task)
+        return _result(problem, on_series(problem, Series(bench, robot)), swings, bar)
 
 
 def _learn_live(
@@ -159,9 +164,8 @@ def _learn_live(
     with progress_bar() as bar, BenchClient.connect(configuration) as client:
         require_bench(client.status(), bench.profile, source)
         problem = _problem(bench, bar)
-        task = bar.add_task(_LEARNING, total=swings + 1)
         with LiveSwinger(client, problem, source, say, ask_mark) as live:
-            result = _result(problem, live, swings, bar, task)
+            result = _result(problem, live, swings, bar)
             live.correct(result.weights)
         return result, live.simulated
 
@@ -176,12 +180,11 @@ def _problem(bench: Bench, bar: Progress) -> LearningProblem:
     return problem
 
 
-def _result(
-    problem: LearningProblem, swinger: Swinger, swings: int, bar: Progress, task: TaskID
-) -> LearningResult:
-    """Learn with `swinger`, one step of the bar's `task` a swing."""
+def _result(problem: LearningProblem, swinger: Swinger, swings: int, bar: Progress) -> LearningResult:
+    """Learn with `swinger`, one step of the bar a swing."""
     from bench.learning.learn import learn as learned
 
+    task = bar.add_task("learning swings", total=swings + 1)
     return learned(problem, swinger, swings, on_attempt=lambda attempt: bar.update(task, advance=1))
 
 
@@ -203,7 +206,6 @@ def mark_from_person() -> tuple[float, float] | None:
 
 
 def _table(result: LearningResult, name: str) -> Table:
-
     table = plain_table(title=f"{name}: what each swing delivered")
     units = ("strike\nmm", "head\nm/s", "lean\n°", "attack\n°", "path\nmrad", "limit\n%")
     for column in ("swing", *units, ""):

@@ -2,50 +2,47 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import nullcontext
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
 
-from bench.base.errors import BenchError, Refused
+from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
-from bench.commands.common.options import (
+from bench.commands.common.command import (
     ClubName,
     ClusterAddress,
     Json,
     Plot,
     Processes,
     ProfileName,
+    Session,
     argument,
+    exit_unless,
     flag,
     known_profiles,
     option,
     require_picture,
+    show_json,
     sweep_engine,
 )
-from bench.commands.common.output import console_of
-from bench.commands.common.progress import progress_bar, progress_of, progress_of_steps
-from bench.commands.common.session import Session, exit_unless, show_json
-from bench.commands.swing.compare import compare
+from bench.commands.common.output import plain_table, progress_of
+from bench.commands.swing.profile_design import design
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.design.designer import SwingDemand
-    from bench.golfer.comparison import MotionDeviation
-    from bench.golfer.golfer_file import GolferSwing
-    from bench.swing.golfers import Golfer
-    from bench.swing.profile import Profile
+    from bench.design.stop_verification import TrialOutcome, TrialSummary
+    from bench.swing.profile import FollowedGolfer, Profile
     from sim.plant import PlantParameters
 
-app = typer.Typer(
-    help="List, show, simulate, check, design and compare swing profiles.", no_args_is_help=True
-)
-app.command()(compare)
+app = typer.Typer(help="List, show, simulate, check and design swing profiles.", no_args_is_help=True)
+
+app.command()(design)
 
 Name = Annotated[str, argument("PROFILE", "Name or path of a profile.", complete=known_profiles)]
 
@@ -53,7 +50,6 @@ Name = Annotated[str, argument("PROFILE", "Name or path of a profile.", complete
 @app.command("list")
 def list_profiles(json_: Json = False) -> None:
     """Show the profiles that come with golfbench."""
-    from bench.commands.swing.profile_tables import listing
     from bench.swing.library import THESIS, find_profile, profile_names
     from bench.swing.profile import load_profile
 
@@ -77,7 +73,6 @@ def show(
     ] = False,
 ) -> None:
     """Show a profile: phases and times, planned delivery, limits."""
-    from bench.commands.swing.profile_tables import details, draw
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, profile_text
 
@@ -133,7 +128,6 @@ def simulate(
 def _simulate(
     configuration: Configuration, name: str, club: str | None, ball: str | None, output: Path, json_: bool
 ) -> None:
-
     from bench.design.swing_result import outcome_record, outcome_table, write_outcome
     from bench.records.shot.recorded_shot import FlightConditions
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
@@ -174,7 +168,6 @@ def check(
     Each reaction, each valve stuck open or shut, a silent bench, a missing ball and a fat shot, against the
     ratings of stops and chambers. Exits with 1 if any of them ends unsafe.
     """
-    from bench.commands.swing.profile_tables import check_record, check_table
     from bench.design.stop_verification import SwingCheck, summarise
     from bench.supervisor.readiness import assess_bench
 
@@ -193,279 +186,6 @@ def check(
     else:
         Console().print(check_table(swing.name, outcomes, summaries))
     exit_unless(not any(summary.unsafe for summary in summaries))
-
-
-Output = Annotated[
-    Path | None,
-    argument("FILE", "Profile to write, .toml, with its table next to it.", shown="CLUB-SPEEDmps.toml"),
-]
-GolferName = Annotated[
-    str | None, option("Golfer to imitate: a built-in one or a measured NAME.golfer.toml.", "NAME")
-]
-Follow = Annotated[
-    Literal["body", "club"],
-    option("Motion taken from a measured golfer: shoulders, arm and club, or the club alone, ball on ball."),
-]
-HeadSpeed = Annotated[
-    float | None,
-    option("Head speed at the ball.", "M_PER_S", low=5.0, high=60.0, shown="45, or the golfer's"),
-]
-Attack = Annotated[
-    float | None,
-    option("Attack angle, + up.", "DEG", low=-8.0, high=8.0, shown="0, or that of a measured golfer"),
-]
-Lean = Annotated[
-    float | None,
-    option(
-        "Shaft lean at the ball, in the swing plane; negative with leading hands.",
-        "DEG",
-        low=-12.0,
-        high=3.0,
-        shown="the easiest within 1.5 deg; on turf up to 10 deg of leading hands",
-    ),
-]
-Strike = Annotated[float, option("Ball off the face's centre, + up the plane.", "MM", low=-20.0, high=20.0)]
-BeforeStop = Annotated[
-    float, option("Least time from the ball to where the wrist meets its stop.", "MS", low=0.0, high=5.0)
-]
-Margin = Annotated[float, option("Share of each valve reserved for feedback.", "PERCENT", low=0.0, high=50.0)]
-Backswing = Annotated[
-    float | None, option("Duration of the backswing.", "S", low=0.5, high=3.0, shown="0.85, or the golfer's")
-]
-Downswing = Annotated[
-    float | None,
-    option(
-        "Duration of the downswing up to the ball, within 5 ms.",
-        "S",
-        low=0.15,
-        high=0.5,
-        shown="0.15 to 0.25, or about that of the swing that is followed",
-    ),
-]
-Highest = Annotated[bool, flag("--highest", "Only show the highest head speed and what limits it.")]
-Nearest = Annotated[
-    bool,
-    flag(
-        "--nearest",
-        "If out of reach, design the nearest swing and show the deviations: downswing time, "
-        "attack angle, head speed.",
-    ),
-]
-Start = Annotated[
-    str | None,
-    option(
-        'Swing to start the optimization from, or "nothing".',
-        "PROFILE",
-        shown="the configuration's",
-        names="--from",
-    ),
-]
-Near = Annotated[str | None, option("Keep near the downswing of this swing.", "PROFILE", names="--near")]
-
-
-_ASK_FOR_LESS = (
-    "Ask for less --speed, a steeper --attack angle or a longer --backswing; --highest shows the highest "
-    "speed, --nearest gives way, --before-stop 0 lets the wrist meet its stop at the ball."
-)
-"""Action after a failed design."""
-
-
-@app.command()
-def design(
-    context: typer.Context,
-    output: Output = None,
-    club: ClubName = None,
-    golfer: GolferName = None,
-    follow: Follow = "body",
-    near: Near = None,
-    speed: HeadSpeed = None,
-    attack: Attack = None,
-    lean: Lean = None,
-    strike: Strike = 0.0,
-    before_stop: BeforeStop = 1.2,
-    margin: Margin = 15.0,
-    backswing: Backswing = None,
-    downswing: Downswing = None,
-    highest: Highest = False,
-    nearest: Nearest = False,
-    start: Start = None,
-    processes: Processes = 0,
-    cluster: ClusterAddress = "",
-) -> None:
-    """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
-
-    Deterministic. A demand out of reach is refused with its limit; --nearest designs the nearest swing and
-    shows the deviations. A swing that `golfbench check` would refuse is not written.
-    """
-    from bench.design.designer import DesignFailed, SwingDemand
-    from bench.design.requirements import require_planned_openings
-
-    configuration = context.ensure_object(Session).configuration().with_club(club)
-    require_planned_openings(configuration.control)
-    plant = configuration.plant
-    whose = _golfer_followed(plant, golfer, follow)
-    demand = SwingDemand(
-        head_speed=45.0 if speed is None else speed,
-        attack=math.radians(attack or 0.0),
-        lean=None if lean is None else math.radians(lean),
-        strike=strike / 1e3,
-        before_stop=before_stop / 1e3,
-        margin=margin / 100,
-        nearest=nearest,
-    )
-    asked = speed, None if attack is None else math.radians(attack)
-    demand = _with_motion(demand, plant, whose, near, asked, (backswing, downswing))
-    begin = None if start == "nothing" else start or near or configuration.swing.profile
-    title = (whose.name if whose else plant.robot.club.name) + ("-club" if follow == "club" else "")
-    path = output or Path(f"{title}-{demand.head_speed:g}mps.toml")
-    try:
-        if highest:
-            return _show_highest_speed(configuration, demand, begin, (processes, cluster))
-        _save_design(configuration, demand, begin, path, whose)
-    except DesignFailed as failure:
-        raise BenchError(
-            "profile design", str(failure), "a swing that this plant can do", _ASK_FOR_LESS
-        ) from None
-    typer.echo(f"Next: golfbench profile check {path}" + (f" --club {club}" if club else ""))
-
-
-def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> Golfer | GolferSwing | None:
-    """Return the golfer called `name` with the angles that are followed; None without a name."""
-    from bench.golfer.comparison import golfer_named, with_club_held
-    from bench.golfer.golfer_file import GolferSwing
-
-    golfer = None if name is None else golfer_named(name)
-    if follow == "body":
-        return golfer
-    if not isinstance(golfer, GolferSwing):
-        action = "Name a file of golfbench golfer import, or leave --follow out."
-        raise BenchError("--follow", "club", "also --golfer NAME.golfer.toml", action)
-    return with_club_held(plant, golfer)
-
-
-def _show_deviation(plant: PlantParameters, row: MotionDeviation) -> None:
-    """Print the deviation of a design from its golfer, and the golfer's excess beyond the robot's ranges."""
-    from bench.commands.swing.golfer_tables import PIPED_WIDTH, beyond_text, comparison_table
-    from bench.golfer.comparison import beyond_ranges
-
-    console = console_of(PIPED_WIDTH)
-    console.print(comparison_table([row]), highlight=False)
-    moving = row.reference.angle[row.reference.in_downswing]
-    console.print(beyond_text(beyond_ranges(plant, moving)), highlight=False, soft_wrap=True)
-
-
-def _with_motion(
-    demand: SwingDemand,
-    plant: PlantParameters,
-    golfer: Golfer | GolferSwing | None,
-    near: str | None,
-    asked: tuple[float | None, float | None],
-    times: tuple[float | None, float | None],
-) -> SwingDemand:
-    """Return `demand` as `golfer` would swing, or near the profile `near`.
-
-    The speed (m/s) and attack (rad) in `asked` and the `times` of backswing and downswing (s) override those
-    of golfer and profile.
-    """
-    from bench.design.golfer_tracking import TEMPO, demand_like, demand_measured, demand_near
-    from bench.swing.golfers import Golfer, human_downswing
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile
-
-    if golfer is not None and near is not None:
-        raise Refused(
-            "profile design", "--golfer and --near", "one of the two", "Leave out --golfer or --near."
-        )
-    if isinstance(golfer, Golfer):
-        demand = demand_like(plant, golfer, human_downswing(plant, golfer), demand, asked[0])
-    elif golfer is not None:
-        demand = demand_measured(plant, golfer, demand, *asked)
-    if near is not None:
-        demand = demand_near(plant, load_profile(find_profile(near)), demand)
-    backswing, downswing = times
-    if downswing is not None:
-        demand = replace(demand, downswing_time=(downswing - TEMPO, downswing + TEMPO))
-    return demand if backswing is None else replace(demand, backswing_time=backswing)
-
-
-def _profile_named(name: str | None) -> Profile | None:
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile
-
-    return None if name is None else load_profile(find_profile(name))
-
-
-def _show_highest_speed(
-    configuration: Configuration,
-    demand: SwingDemand,
-    begin: str | None,
-    workers: tuple[int, str],
-) -> None:
-    """Print the highest head speed, its limit, and what would raise it; `workers`: processes or cluster."""
-    from bench.design.highest_speed import TOGETHER, DownswingStudy, highest_speed
-
-    study = DownswingStudy(configuration, demand, _profile_named(begin))
-    with sweep_engine(configuration, *workers, TOGETHER) as engine, progress_bar() as bar:
-        task = bar.add_task("", total=None)
-        found = highest_speed(study, engine, lambda what: bar.update(task, description=what))
-    typer.echo(
-        f"At most {found.plan.speed:.1f} m/s at the ball, {100 * demand.margin:g} % of each valve left to "
-        "feedback, cushions kept when the ball is missed or the bench falls silent;\n"
-        f"{found.limit}."
-    )
-    for name, gain in list(found.plan.binding.items())[:5]:
-        typer.echo(f"  one per cent more of {name}: {gain:+.3f} m/s")
-
-
-def _save_design(
-    configuration: Configuration,
-    demand: SwingDemand,
-    begin: str | None,
-    path: Path,
-    golfer: Golfer | GolferSwing | None,
-) -> None:
-    """Design a swing, save it at `path`, print its delivery, cushions and deviation from `golfer`."""
-    from bench.design.designer import design_swing
-    from bench.design.golfer_tracking import gave_way
-    from bench.golfer.comparison import compare_motions, followed_golfer, golfer_motion, robot_motion
-    from bench.golfer.golfer_file import GolferSwing
-    from bench.swing.profile import save_profile
-
-    start = _profile_named(begin)
-    with progress_of_steps() as progress:
-        made = design_swing(
-            configuration,
-            demand,
-            path.stem,
-            golfer="robot" if golfer is None else golfer.name,
-            text="" if golfer is None else f"as close to a golfer as the robot can: {golfer.text}",
-            start=start,
-            progress=progress,
-        )
-    given = gave_way(demand, made.profile)
-    swing = replace(made.profile, text="; ".join([made.profile.text, *given]))
-    plant = configuration.plant
-    row = None
-    if golfer is not None:
-        row = compare_motions(golfer_motion(plant, golfer), robot_motion(plant, swing))
-        if isinstance(golfer, GolferSwing):
-            swing = replace(swing, followed=followed_golfer(golfer, row))
-    save_profile(path, swing)
-    delivery, limits = swing.delivery, swing.limits
-    typer.echo(
-        f"{path}: in closed loop {delivery['head_speed_mps']:.2f} m/s, "
-        f"attack {delivery['attack_angle_deg']:+.2f} deg, lean {delivery['shaft_lean_deg']:+.2f} deg, "
-        f"strike {delivery['in_plane_error_mm']:+.2f} mm."
-    )
-    typer.echo(
-        f"Cushions at most: {100 * limits['stop_share']:.0f} % struck, "
-        f"{100 * limits['stop_share_missed']:.0f} % missed, {100 * limits['stop_share_silent']:.0f} % silent."
-    )
-    typer.echo("Possible on this machine: it passes the checks of `golfbench check`.")
-    if given:
-        typer.echo("Gave way: " + "; ".join(given) + ".")
-    if row is not None:
-        _show_deviation(plant, row)
 
 
 @app.command()
@@ -536,3 +256,210 @@ def address(
     save_profile(output, planned)
     pressures = ", ".join(f"{pressure / 1e5:.2f}" for pressure in planned.air)
     typer.echo(f"{output}: chambers at {pressures} bar absolute, supply {planned.air_supply / 1e5:.2f} bar.")
+
+
+# Tables and pictures ---------------------------------------------------------------------------------
+
+_BARS = " ▁▂▃▄▅▆▇█"
+_WIDTH = 64
+_UNITS = {"mps": "m/s", "deg": "°", "mm": "mm", "m": "m", "s": "s", "j": "J", "pa": "Pa"}
+_COLOURS = ("#1f5fa8", "#d1495b", "#2a9d5c")
+
+
+def listing(profiles: list[tuple[str, Profile]]) -> Table:
+    """Return the table of `golfbench profile list`; pairs of name and profile.
+
+    One line each, whatever the width: `golfbench profile show NAME` prints the whole text.
+    """
+    table = plain_table(expand=True)
+    table.add_column("name", no_wrap=True)
+    table.add_column("club", no_wrap=True)
+    table.add_column("m/s", no_wrap=True, justify="right")
+    table.add_column("attack °", no_wrap=True, justify="right")
+    table.add_column("description", no_wrap=True, overflow="ellipsis", ratio=1)  # the only flexible column
+    for name, profile in profiles:
+        speed = _figure(profile, "head_speed_mps", ".1f")
+        attack = _figure(profile, "attack_angle_deg", "+.1f")
+        table.add_row(*map(Text, (name, profile.club, speed, attack, profile.text)))
+    return table
+
+
+def _figure(profile: Profile, key: str, form: str) -> str:
+    value = profile.delivery.get(key)
+    return "" if value is None else format(round(value, 1) + 0.0, form)
+
+
+def details(profile: Profile, path: Path, plant: PlantParameters) -> Group:
+    """Return everything `golfbench profile show` prints."""
+    head = Text(f"{profile.name}", "bold")
+    head.append(f"  {profile.text}\n{path}", "not bold")
+    facts = _table("", "", title="")
+    for name, value in (
+        ("golfer", profile.golfer),
+        ("club", profile.club),
+        ("ball", f"x {profile.ball[0]:.3f} m, y {profile.ball[1]:.3f} m in the swing plane"),
+        ("planned contact", f"{profile.impact_time:.4f} s"),
+        ("no return after", f"{profile.begins[4] * profile.period:.3f} s"),
+        ("samples", f"{len(profile.angle)} every {1e3 * profile.period:g} ms"),
+        ("blind brakes", f"{len(profile.blind_brake)}, every {profile.blind_spacing} samples"),
+    ):
+        facts.add_row(name, Text(value))
+    followed = [] if profile.followed is None else [_deviation(profile.followed)]
+    return Group(head, facts, *followed, _phases(profile), _speed_line(profile, plant), *_groups(profile))
+
+
+def _table(*columns: str, title: str) -> Table:
+    table = plain_table(title=title or None, title_justify="left", title_style="bold")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="right" if i and column else "left", no_wrap=True)
+    table.show_header = any(columns)
+    return table
+
+
+def _deviation(followed: FollowedGolfer) -> Group:
+    """Return the deviation of a profile from the measured swing that it follows."""
+    from bench.golfer.comparison import followed_texts
+
+    table = _table("", "", title=f"Deviation from the golfer's {followed['follow']}")
+    for row in zip(("shoulder", "arm", "wrist", "head"), followed_texts(followed), strict=True):
+        table.add_row(*row)
+    speed = f"Golfer's head speed at the ball: {followed['head_speed_mps']:.1f} m/s."
+    source = f"SHA-256 of the golfer's file:\n{followed['sha256']}"
+    return Group(table, Text(f"{followed['definition']}. {speed} {source}\n"))
+
+
+def _phases(profile: Profile) -> Table:
+    import numpy as np
+
+    from bench.swing.motion import phase_times
+
+    table = _table("phase", "begins, s", "lasts, s", "greatest speed, rad/s", title="Phases")
+    for phase, begin, end in phase_times(profile):
+        rows = slice(round(begin / profile.period), round(end / profile.period))
+        speed = np.abs(profile.velocity[rows]).max(axis=0) if rows.stop > rows.start else np.zeros(3)
+        fastest = " / ".join(f"{value:.1f}" for value in speed)
+        table.add_row(phase.name.lower().replace("_", " "), f"{begin:.3f}", f"{end - begin:.3f}", fastest)
+    return table
+
+
+def _speed_line(profile: Profile, plant: PlantParameters) -> Text:
+    """Return the head's speed over time as a row of bars, the column of the contact marked."""
+    import numpy as np
+
+    from bench.swing.motion import Motion
+
+    speed = Motion(profile, plant).head_speed
+    columns = np.array_split(speed, min(_WIDTH, len(speed)))
+    heights = [int(np.ceil(part.max() / speed.max() * (len(_BARS) - 1))) for part in columns]
+    contact = int(profile.impact_time / profile.duration * len(columns))
+    line = Text(f"head, at most {speed.max():.1f} m/s\n", "bold")
+    for column, height in enumerate(heights):
+        line.append(_BARS[height], "bold red" if column == contact else "cyan")
+    line.append(f"\n0 s{'':{len(columns) - 9}}{profile.duration:.2f} s   red: the ball", "not bold")
+    return line
+
+
+def _groups(profile: Profile) -> list[Table]:
+    tables = []
+    for title, values in (("Planned delivery", profile.delivery), ("Limits it was made for", profile.limits)):
+        table = _table("", "value", "unit", title=title)
+        table.columns[2].justify = "left"
+        table.show_header = False
+        for name, value in values.items():
+            what, _, suffix = name.rpartition("_")
+            known = suffix in _UNITS
+            table.add_row((what if known else name).replace("_", " "), f"{value:.6g}", _UNITS.get(suffix, ""))
+        tables.append(table)
+    return tables
+
+
+def draw(profile: Profile, plant: PlantParameters, path: Path) -> None:
+    """Write a picture (PNG, SVG or PDF by the suffix of `path`) of the planned motion.
+
+    Raises:
+        ValueError: no picture format has that suffix.
+        OSError: `path` cannot be written.
+    """
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from bench.swing.motion import Motion, phase_times
+    from drivers.base import ACTUATORS
+
+    motion = Motion(profile, plant)
+    time = np.arange(len(profile.angle)) * profile.period
+    figure = Figure(figsize=(9.0, 9.0), layout="constrained")
+    axes = figure.subplots(4, 1, sharex=True)
+    cock = 360.0 - np.degrees(profile.angle[:, 2])
+    rows = (
+        (np.degrees(profile.angle[:, 0]), "shoulder θ1, °"),
+        (1e3 * motion.position[:, 1], "right-arm rod, mm"),
+        (cock, "wrist cock, °"),
+    )
+    for ax, (values, label), colour in zip(axes, rows, _COLOURS, strict=False):
+        ax.plot(time, values, color=colour)
+        ax.set_ylabel(label)
+    axes[3].plot(time, motion.head_speed, color="black", label="head, m/s")
+    axes[3].set_ylabel("head, m/s")
+    valves = axes[3].twinx()
+    for i, name in enumerate(ACTUATORS):
+        valves.plot(time, profile.valve[:, i], color=_COLOURS[i], linewidth=0.7, alpha=0.8, label=name)
+    valves.set(ylim=(-1.05, 1.05), ylabel="valve opening")
+    valves.legend(loc="upper left", fontsize=8, ncols=3, frameon=False)
+    for ax in axes:
+        for _, begin, _ in phase_times(profile)[1:]:
+            ax.axvline(begin, color="#bbbbbb", linewidth=0.7)
+        ax.axvline(profile.impact_time, color="#d1495b", linestyle="--", linewidth=0.9)
+        ax.grid(alpha=0.25)
+    axes[0].set_title(f"{profile.name}: {profile.text}", loc="left", fontsize=10)
+    axes[3].set_xlabel("time, s; dashed: planned contact; grey: phases")
+    axes[3].set_xlim(0.0, profile.duration)
+    figure.savefig(path, dpi=110)
+
+
+def check_table(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> Table:
+    """Return one row a fault: how many instants, the worst ends and when they began."""
+    unsafe = sum(bool(outcome.unsafe) for outcome in outcomes)
+    table = Table(
+        title=f"{name}: {len(outcomes)} cases, {unsafe} end unsafe",
+        caption="Shares are of the rating; instants are seconds from the start of the swing.",
+    )
+    table.add_column("fault")
+    for heading in ("cases", "unsafe", "most energy in a stop", "highest pressure", "clearance mm"):
+        table.add_column(heading, justify="right")
+    table.add_column("at rest after s", justify="right")
+    for summary in summaries:
+        stop, pressure = summary.worst_stop, summary.worst_pressure
+        lowest, slowest = summary.lowest, summary.slowest
+        table.add_row(
+            summary.fault,
+            str(summary.instants),
+            f"[red]{summary.unsafe}[/red]" if summary.unsafe else "0",
+            f"{100 * stop.stop_share:.0f} % {stop.stop} @{stop.time:.2f}",
+            f"{100 * pressure.pressure_share:.0f} % @{pressure.time:.2f}",
+            f"{1e3 * lowest.clearance:.0f} @{lowest.time:.2f}",
+            f"{slowest.rest_time:.2f} @{slowest.time:.2f}",
+        )
+    return table
+
+
+def check_record(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> dict[str, Any]:
+    """Return all outcomes as a JSON-ready record; a time that never came is null."""
+
+    def one(outcome: TrialOutcome) -> dict[str, Any]:
+        record = {key: getattr(outcome, key) for key in outcome.__dataclass_fields__}
+        rests = outcome.rest_time < float("inf")
+        return record | {
+            "phase": outcome.phase.name,
+            "cause": outcome.cause.name,
+            "rest_time": outcome.rest_time if rests else None,
+            "unsafe": outcome.unsafe,
+        }
+
+    return {
+        "schema_version": 1,
+        "profile": name,
+        "cases": len(outcomes),
+        "unsafe": {summary.fault: summary.unsafe for summary in summaries},
+        "outcomes": [one(outcome) for outcome in outcomes],
+    }

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from bench.base.address import free_port
 from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
 from bench.base.interrupt import Terminated
 from bench.base.lifecycle import State
-from bench.commands.cli import command_line, main
+from bench.commands.cli import accept_any_text, command_line, main
 from drivers.base import DriverError
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.sampling import release_except
@@ -336,3 +337,32 @@ def test_main_closed_pipe_prints_no_error() -> None:
     answer = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True)
     assert answer.stdout.startswith("{")
     assert answer.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("encoding", "written"),
+    [
+        ("ascii", "12.5 deg +- 3 um - ... <= ?"),
+        ("iso8859-15", "12.5° ± 3 µm - ... <= ?"),
+        ("cp437", "12.5° ± 3 µm - ... ≤ ?"),
+        ("utf-8", "12.5° ± 3 µm – … ≤ \N{BLACK CHESS KING}"),
+    ],
+)
+def test_accept_any_text_missing_characters_are_replaced(
+    monkeypatch: pytest.MonkeyPatch, encoding: str, written: str
+) -> None:
+    kept = BytesIO()
+    with TextIOWrapper(kept, encoding=encoding, write_through=True) as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        accept_any_text()
+        print("12.5° ± 3 µm – … ≤ \N{BLACK CHESS KING}", end="")
+        assert kept.getvalue().decode(encoding) == written
+
+
+def test_accept_any_text_undecodable_file_name_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = BytesIO()
+    with TextIOWrapper(kept, encoding="utf-8", write_through=True) as stream:
+        monkeypatch.setattr(sys, "stderr", stream)
+        accept_any_text()
+        print(b"a\xff.toml".decode("utf-8", "surrogateescape"), end="", file=sys.stderr)
+        assert kept.getvalue() == b"a?.toml"

@@ -11,7 +11,7 @@ from cantools.database.can import Database
 from typer.testing import CliRunner
 
 from bench.commands.cli import app
-from bench.commands.common.session import Session
+from bench.commands.common.command import Session
 from drivers.base import CHAMBERS, JOINTS, Command
 from drivers.canopen.dbc import describe
 from drivers.canopen.frames import traffic

@@ -30,11 +30,10 @@ from bench.base.address import BenchAddress, free_port, load_address
 from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import Phase, Request, State
 from bench.commands.bench import console
-from bench.commands.bench.console import CommandCompleter, ConsoleLines, arguments_of, history
-from bench.commands.bench.console_connection import KeptConnection
+from bench.commands.bench.console import CommandCompleter, ConsoleLines, KeptConnection, arguments_of, history
 from bench.commands.bench.console_terminal import CommandTerminal, count_stops
 from bench.commands.cli import command_line, main
-from bench.commands.common.session import Session
+from bench.commands.common.command import Session
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError
-from bench.commands.bench.lease_file import lease_folder, open_lease_file
+from bench.commands.bench.operate import lease_folder, open_lease_file
 from bench.network.client import HeldLease
 
 LEASE = HeldLease("Ann", "k" * 22, 30.0, 7)

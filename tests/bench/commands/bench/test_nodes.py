@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.commands.bench.nodes import nodes_plan, turn_regulator
+from bench.commands.bench.simulators import nodes_plan, turn_regulator
 from bench.config import load_configuration
 from drivers.base.compiled import new_record
 from drivers.canopen.driver import CanopenDriver

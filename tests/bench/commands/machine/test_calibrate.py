@@ -86,7 +86,7 @@ def test_check_command_expired_calibration_is_refused(
     assert golfbench("calibrate", *BALL)[0] == 0
     code, text, _ = golfbench("check")
     assert (code, "ball version 1 of" in text, "warning" in text) == (0, True, False)
-    import bench.commands.bench.check as report
+    import bench.commands.bench.run as report
 
     class Later(datetime):
         @classmethod
@@ -297,6 +297,11 @@ def test_calibrate_aerodynamics_fits_stores_and_lists_drag(golfbench: Run, tmp_p
         assert (code, "--measured" in errors) == (2, True)
     code, _, errors = golfbench(*command, "--mass-g", "0.04593")
     assert (code, "--mass-g" in errors, "flights.csv" in errors) == (2, True, False)
+    wider = golfbench(*command, "--no-store", "--scatter", "carry=3", "--uncertainty", "carry=2")[1]
+    assert wider != golfbench(*command, "--no-store")[1]
+    for wrong in ("carry", "carry=-1", "carry=nan", "length=1"):
+        code, _, errors = golfbench(*command, "--scatter", wrong)
+        assert (code, f"'{wrong}'" in errors) == (2, True)
     (tmp_path / "flights.csv").write_text("\n".join(rows[:3]))
     code, _, errors = golfbench(*command)
     assert (code, "expected at least 3" in errors) == (2, True)

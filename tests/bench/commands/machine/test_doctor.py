@@ -136,7 +136,7 @@ def test_doctor_compiled_code_reports_cold_warm_and_read_only_cache(
         (folder / version / "sim" / "f.nbc").touch()
     warm = doctor.compiled_code()
     assert warm.status is CheckStatus.OK
-    assert warm.figures == {"functions": 1.0}
+    assert warm.value.startswith("warm, 1 functions")
     monkeypatch.setattr("os.access", lambda *_: False)
     assert "not writable" in doctor.compiled_code().value
 
@@ -185,7 +185,7 @@ def test_doctor_memory_low_available_is_limited(
     files["/proc/meminfo"] = f"MemTotal: 9 kB\nMemAvailable:   {kibibytes} kB"
     outcome = doctor.memory()
     assert outcome.status is status
-    assert outcome.figures["available_bytes"] == kibibytes * 1024
+    assert outcome.value == f"{kibibytes / 2**20:.1f} GiB available"
 
 
 def test_doctor_data_folder_reports_missing_and_low_space(
@@ -227,7 +227,7 @@ def test_doctor_realtime_granted_is_ok(monkeypatch: pytest.MonkeyPatch) -> None:
     found = _realtime(monkeypatch, _answer(True, 40.0))
     assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {CheckStatus.OK}
     assert "FIFO 80" in found["SCHED_FIFO"].value
-    assert found["wake-up latency"].figures == {"p50_us": 8.0, "p99_us": 40.0, "max_us": 4000.0}
+    assert "median 8 µs, 99 % 40 µs, longest 4000 µs" in found["wake-up latency"].value
 
 
 def test_doctor_realtime_refused_is_limited_with_action(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -81,7 +81,7 @@ def test_bench_probes_good_bench_are_all_ok(look: Look) -> None:
         "interrupt thread",
     ]
     assert [f for f in findings.values() if f.status is not CheckStatus.OK or f.advice] == []
-    assert findings["bit timing"].figures == {"bitrate": 1e6, "sample_point": 0.75}
+    assert findings["bit timing"].value.startswith("1000000 bit/s, sample point 0.750")
     assert findings["card"].value == "x_can, on pci"
     assert findings["interrupt thread"].value == "irq 35 with priority 90, the loop has 80"
 

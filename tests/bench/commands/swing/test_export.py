@@ -9,7 +9,7 @@ import pytest
 
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.commands.cli import main
-from bench.commands.swing.export import Format, planned
+from bench.commands.swing.records import Format, planned_exports
 from bench.records.telemetry.recorder import write_swing
 
 
@@ -37,9 +37,9 @@ def test_export_folder_writes_each_record(kind: Format, records: Path, tmp_path:
 
 def test_planned_one_record_uses_same_folder_or_output(records: Path, tmp_path: Path) -> None:
     one = records / "001.parquet"
-    assert planned([one], Format.MAT, None, False) == [(one, records / "001.mat")]
-    assert planned([one], Format.MAT, tmp_path / "x.mat", False) == [(one, tmp_path / "x.mat")]
-    assert planned([one], Format.MAT, records, False) == [(one, records / "001.mat")]
+    assert planned_exports([one], Format.MAT, None, False) == [(one, records / "001.mat")]
+    assert planned_exports([one], Format.MAT, tmp_path / "x.mat", False) == [(one, tmp_path / "x.mat")]
+    assert planned_exports([one], Format.MAT, records, False) == [(one, records / "001.mat")]
 
 
 def test_export_existing_file_is_refused_without_force(
@@ -57,10 +57,10 @@ def test_export_existing_file_is_refused_without_force(
 def test_planned_colliding_targets_are_refused(records: Path, tmp_path: Path) -> None:
     other = tmp_path / "other" / "001.parquet"
     with pytest.raises(BenchError, match="several records of that name"):
-        planned([records / "001.parquet", other], Format.CSV, tmp_path / "out", False)
+        planned_exports([records / "001.parquet", other], Format.CSV, tmp_path / "out", False)
     (records / "001.csv").touch()
     with pytest.raises(Refused):
-        planned([records / "001.parquet"], Format.CSV, None, False)
+        planned_exports([records / "001.parquet"], Format.CSV, None, False)
 
 
 def test_export_invalid_record_or_format_is_refused(

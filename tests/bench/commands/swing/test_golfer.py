@@ -115,8 +115,6 @@ def test_golfer_import_recording_without_impact_writes_no_file(
     [
         ("--events", "top=x"),
         ("--events", "finish=1"),
-        ("--cutoff", "15"),
-        ("--cutoff", "0,50"),
         ("--lead", "west"),
         ("--up", "w"),
         ("--plot", "swing.gif"),

@@ -1,10 +1,12 @@
-"""`golfbench nodes` at the command line."""
+"""`golfbench nodes`, `golfbench launch-monitor`: simulated hardware of a bench."""
 
 from __future__ import annotations
 
 import math
 import signal
 import tempfile
+import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,15 +14,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.commands.common.options import flag, option
-from bench.commands.common.session import Session
+from bench.base.interrupt import stop_on_signals
+from bench.commands.common.command import Session, flag, option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from bench.config import Configuration
     from bench.records.telemetry.encoder_preset import CalibratedShifts
+    from drivers.base import Launch
     from drivers.canopen.scan import ScannedNode
+    from sim.launch_monitor import MonitorParameters
     from sim.nodes.personality import Personality
     from sim.nodes.wall_plant import NodesPlan
 
@@ -79,7 +81,7 @@ def nodes(
     dbc: Annotated[Path | None, option("Write a DBC file of all bus frames and exit.", "FILE")] = None,
     encoder: Annotated[str, option("Device family that the encoders play.", "FAMILY", shown="plain")] = "",
     io: Annotated[str, option("Device family that the valve node plays.", "FAMILY", shown="plain")] = "",
-    look: Annotated[
+    scan: Annotated[
         bool, flag("--scan", "List the nodes on the bus and whether they would be taken, and exit.")
     ] = False,
     turn: Annotated[
@@ -106,27 +108,22 @@ def nodes(
         act_at(folder, act)
         return
     configuration = context.ensure_object(Session).configuration()
-    if look:
+    if scan:
         show_scan(configuration)
         return
     if dbc is not None:
-        write_dbc(configuration, dbc)
-        return
+        from drivers.canopen.dbc import describe
 
+        c = configuration
+        dbc.write_text(describe(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), encoding="ascii")
+        typer.echo(f"{dbc}: the frames of channel {c.canopen.channel}")
+        return
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-        play(nodes_plan(configuration, folder, encoder, io))
+        _run_nodes(nodes_plan(configuration, folder, encoder, io))
     else:
         with tempfile.TemporaryDirectory(prefix="golfbench-nodes-") as made:
-            play(nodes_plan(configuration, Path(made), encoder, io))
-
-
-def write_dbc(c: Configuration, file: Path) -> None:
-    """Write a DBC file of all frames on the bus of `c`."""
-    from drivers.canopen.dbc import describe
-
-    file.write_text(describe(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), encoding="ascii")
-    typer.echo(f"{file}: the frames of channel {c.canopen.channel}")
+            _run_nodes(nodes_plan(configuration, Path(made), encoder, io))
 
 
 def turn_regulator(folder: Path | None, bar: str) -> None:
@@ -182,12 +179,12 @@ def show_scan(configuration: Configuration) -> None:
     """
     from bench.calibration.archive import calibration_of
     from drivers.base import DriverError
-    from drivers.canopen.scan import scan
+    from drivers.canopen.scan import scan as scan_bus
 
     bus = configuration.canopen
     where = f"{bus.interface} {bus.channel}"
     try:
-        found = scan(bus, configuration.plant.encoders.counts_per_revolution)
+        found = scan_bus(bus, configuration.plant.encoders.counts_per_revolution)
     except DriverError as error:
         raise NoBus(
             f"nodes --scan on {where}",
@@ -228,7 +225,7 @@ def _scan_lines(node: ScannedNode) -> list[str]:
     return [*lines, f"  {'taken' if node.taken else 'refused:'} {node.verdict}".rstrip()]
 
 
-def play(plan: NodesPlan) -> None:
+def _run_nodes(plan: NodesPlan) -> None:
     """Run the simulated nodes of `plan` until SIGTERM or Ctrl-C.
 
     Raises:
@@ -252,3 +249,136 @@ def play(plan: NodesPlan) -> None:
             "a CAN interface that can be opened",
             "Bring it up, or take --config local_can, which needs none.",
         ) from error
+
+
+# The launch monitor ----------------------------------------------------------------------------------
+
+_PERIOD = 0.005
+"""Period of reading the plant (s)."""
+_ATTACH_PERIOD = 0.5
+"""Period of looking for a plant (s)."""
+
+
+class NoPlant(BenchError):
+    """The simulated bench cannot be looked at."""
+
+    exit_code = ExitCode.DEVICE
+
+
+Seed = Annotated[int, option("Seed of noise and faults.", low=0)]
+Drop = Annotated[list[int] | None, option("Drop the message of the N-th ball; repeatable.", "N", low=1)]
+Misread = Annotated[float, option("Fraction of balls with one wrong value.", low=0.0, high=1.0)]
+Double = Annotated[float, option("Fraction of balls measured and sent twice.", low=0.0, high=1.0)]
+Club = Annotated[bool, flag("--club", "Also send club speed and attack angle.")]
+Noise = Annotated[float, option("Noise relative to the default; 0: none.", "FACTOR", low=0.0, high=10.0)]
+Folder = Annotated[
+    Path | None,
+    option("Folder of the plant's shared records (golfbench nodes --folder).", "DIR", shown="the bench's"),
+]
+
+
+def launch_monitor(
+    context: typer.Context,
+    seed: Seed = 1,
+    drop: Drop = None,
+    misread: Misread = 0.0,
+    double: Double = 0.0,
+    club: Club = False,
+    noise: Noise = 1.0,
+    folder: Folder = None,
+) -> None:
+    """Simulate a launch monitor for a simulated bench until Ctrl-C or SIGTERM.
+
+    It measures the plant's balls with noise and faults, and sends them to the bench
+    over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
+    """
+    from bench.supervisor.ownership import bench_folder
+    from sim.launch_monitor import MonitorParameters
+
+    c = context.ensure_object(Session).configuration()
+    usual = MonitorParameters()
+    parameters = MonitorParameters(
+        speed_noise=noise * usual.speed_noise,
+        angle_noise=noise * usual.angle_noise,
+        spin_noise=noise * usual.spin_noise,
+        axis_noise=noise * usual.axis_noise,
+        carry_noise=noise * usual.carry_noise,
+        dropped=tuple(drop or ()),
+        misread=misread,
+        double=double,
+        club=club,
+        seed=seed,
+    )
+    settings = c.launch_monitor
+    if not settings.enabled:
+        typer.echo("[launch_monitor] is not enabled here; the running bench may have it on", err=True)
+    _run_monitor(parameters, c, folder or bench_folder(c.bench.id), (settings.address, settings.port))
+
+
+def _run_monitor(
+    parameters: MonitorParameters, c: Configuration, folder: Path, address: tuple[str, int]
+) -> None:
+    """Simulate the launch monitor of the plant in `folder` until SIGTERM or Ctrl-C.
+
+    Raises:
+        NoPlant: the plant there is of other code.
+    """
+    from drivers.base import Launch
+    from drivers.base.shared_memory import SharedMemoryError
+    from sim.launch_monitor import ClubMotion, SimulatedMonitor
+    from sim.live.exchange import ContactMonitor, warm_up
+
+    def say(text: str) -> None:
+        typer.echo(text, err=True)
+
+    plant = c.plant
+    warm_up()
+    _carry(Launch(60.0, 0.2, 0.0, 250.0, 0.0), folder, c)
+    watch, monitor = ContactMonitor(folder), SimulatedMonitor(parameters, *address)
+    where = f"{address[0]} port {address[1]}"
+    place = plant.site.ball_x, plant.site.ball_y
+    balls, attach_at = 0, -1.0
+    told: tuple[bool, bool] | None = None
+    try:
+        with stop_on_signals() as wish:
+            while not wish.wait(_PERIOD):
+                now = time.monotonic()
+                if now >= attach_at:
+                    watch.attach()
+                    attach_at = now + _ATTACH_PERIOD
+                if (contact := watch.look()) is not None:
+                    balls += 1
+                    launch = contact.launch
+                    came = contact.delivery(plant.robot, place)
+                    carry = _carry(launch, folder, c)
+                    monitor.see(launch, now, ClubMotion(came.speed, came.attack_angle), carry)
+                    outcome = "reported" if monitor.waiting else "not reported"
+                    say(f"ball {balls}: {launch.speed:.2f} m/s, {outcome}")
+                monitor.step(now)
+                if (standing := (watch.attached, monitor.connected)) != told:
+                    told = standing
+                    say(
+                        f"{'sees' if watch.attached else 'waits for'} the plant in {folder}, "
+                        f"{'connected to' if monitor.connected else 'not connected to'} the bench at {where}"
+                    )
+    except SharedMemoryError as error:
+        raise NoPlant(*error.args) from error
+    finally:
+        monitor.close()
+        watch.close()
+
+
+def _carry(launch: Launch, folder: Path, c: Configuration) -> float | None:
+    """Return the carry of the ball on the plant's tee with `launch`, None if it does not fly."""
+    from drivers.base.shared_memory import SharedMemoryError
+    from sim.flight import fly
+    from sim.live.exchange import chosen_ball
+
+    try:
+        ball = chosen_ball(folder) or c.plant.ball
+    except SharedMemoryError:
+        ball = c.plant.ball
+    try:
+        return fly(launch, c.air, ball, c.wind, c.turf).carry
+    except ValueError:
+        return None

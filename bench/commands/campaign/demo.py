@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -28,15 +26,16 @@ from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.campaign_record import load_record
 from bench.campaign.report.campaign_report import write_campaign_report
-from bench.campaign.report.findings import Findings, findings
+from bench.campaign.report.findings import findings
 from bench.campaign.report.report_format import MPH, YARD
 from bench.campaign.report.verdicts import robot_words
 from bench.campaign.run.plan_requirements import require_swings
+from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner import RunOutcome
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
-from bench.commands.campaign.campaign_runner_screen import CampaignScreen
-from bench.commands.campaign.campaign_screen import campaign_bar
-from bench.commands.campaign.demo.bench_process import BenchPlan
+from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar
+from bench.commands.campaign.demo_bench import BenchPlan
+from bench.commands.common.output import plain_table
 from bench.config import Configuration, database_url
 from bench.network.client import BenchClient
 from bench.records.shot.recorded_shot import read_shot
@@ -123,59 +122,11 @@ def write_result(
         f"{100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} m/s, {s.spin_rpm:g} rpm "
         f"and {s.carry:g} m of carry (standard deviations)"
     )
-    ending = "Ctrl-C: the robot was brought to rest; no report, no recording"
-    ending = ending if interrupted else outcome.reason
-    print_result(title, len(design.balls) * design.blocks, record.shots, ending, scatter)
-    swings = c.bench.data_dir / "campaigns" / entry.id / "swings"
-    print_findings(found, [path for path in (report, recording, shots, swings) if path.exists()])
-
-
-class ScreenColumn(NamedTuple):
-    """One column of the table."""
-
-    head: str
-    unit: str
-    text: Callable[[Shot], str]
-
-
-def _figure(name: str, form: str, scale: float = 1.0) -> Callable[[Shot], str]:
-    """Return a function that writes one figure of a shot, divided by `scale`; "–" when there is none."""
-
-    def text(shot: Shot) -> str:
-        value = getattr(shot, name)
-        return "–" if value is None else format(value / scale, form).replace("-", "−")
-
-    return text
-
-
-def _strike(shot: Shot) -> str:
-    """Write where on the face the ball was struck."""
-    return f"{_figure('strike_x_mm', '+.1f')(shot)} {_figure('strike_y_mm', '+.1f')(shot)}"
-
-
-_COLUMNS = (
-    ScreenColumn("shot", "", lambda shot: str(shot.shot)),
-    ScreenColumn("ball", "", lambda shot: shot.ball),
-    ScreenColumn("club", "mph", _figure("club_speed_mps", ".2f", MPH)),
-    ScreenColumn("", "m/s", _figure("club_speed_mps", ".2f")),
-    ScreenColumn("attack", "°", _figure("attack_angle_deg", "+.2f")),
-    ScreenColumn("strike", "mm", _strike),
-    ScreenColumn("ball", "mph", _figure("ball_speed_mps", ".1f", MPH)),
-    ScreenColumn("launch", "°", _figure("launch_angle_deg", ".1f")),
-    ScreenColumn("spin", "rpm", _figure("spin_rpm", ".0f")),
-    ScreenColumn("carry", "yd", _figure("carry_m", ".1f", YARD)),
-    ScreenColumn("", "m", _figure("carry_m", ".1f")),
-)
-
-
-def print_result(title: str, planned: int, shots: Sequence[Shot], ending: str, scatter: str) -> None:
-    """Print the table of `shots` below `title`, the end of the demo, and the random variations.
-
-    `ending`: why fewer than the `planned` shots were made, else empty; `scatter`: the random variations.
-    """
-    console = Console(highlight=False)
-    console.print(_table(title, shots))
-    left = planned - len(shots)
+    ending = outcome.reason
+    if interrupted:
+        ending = "Ctrl-C: the robot was brought to rest; no report, no recording"
+    console, left = Console(highlight=False), len(design.balls) * design.blocks - len(record.shots)
+    console.print(_table(title, record.shots))
     if ending:
         console.print(f"{ending}, {left} swings not started.", style="bold red")
     elif left > 0:
@@ -183,31 +134,42 @@ def print_result(title: str, planned: int, shots: Sequence[Shot], ending: str, s
             f"{left} swings not started: after a stop nothing arms automatically.", style="bold red"
         )
     console.print(f"Everything is simulated. From shot to shot differ, {scatter}.\n")
-
-
-def print_findings(found: Findings, files: Sequence[Path]) -> None:
-    """Print the verdicts, and where the `files` are."""
-    console = Console(highlight=False)
     for verdict in (verdict for section in found.verdicts for verdict in section):
         console.print(verdict.headline, style="bold")
         console.print(verdict.detail)
     console.print(f"{robot_words(found.repeatability)}\n")
-    for path in files:
-        console.print(_way_to_open(path), soft_wrap=True)
+    swings = c.bench.data_dir / "campaigns" / entry.id / "swings"
+    for path in (report, recording, shots, swings):
+        if path.exists():
+            console.print(_way_to_open(path), soft_wrap=True)
+
+
+_FIGURES = (
+    ("club", "mph", "club_speed_mps", ".2f", MPH),
+    ("", "m/s", "club_speed_mps", ".2f", 1.0),
+    ("attack", "°", "attack_angle_deg", "+.2f", 1.0),
+    ("strike", "mm", "strike_x_mm", "+.1f", 1.0),
+    ("", "mm up", "strike_y_mm", "+.1f", 1.0),
+    ("ball", "mph", "ball_speed_mps", ".1f", MPH),
+    ("launch", "°", "launch_angle_deg", ".1f", 1.0),
+    ("spin", "rpm", "spin_rpm", ".0f", 1.0),
+    ("carry", "yd", "carry_m", ".1f", YARD),
+    ("", "m", "carry_m", ".1f", 1.0),
+)
+"""Columns of the table: heading, unit, field of Shot, format, divisor."""
 
 
 def _table(title: str, shots: Sequence[Shot]) -> Table:
-    """Return the shots; below them why those that are not valid are not."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0, title_justify="left")
-    table.title = Text(title, "bold")
-    for column in _COLUMNS:
-        name = column.head == "ball" and not column.unit
-        table.add_column(
-            f"{column.head}\n[dim]{column.unit}[/]", justify="left" if name else "right", no_wrap=True
-        )
+    """Return the shots; below them the reasons of those that are not valid."""
+    figures = [f"{head}\n[dim]{unit}[/]" for head, unit, *_ in _FIGURES]
+    table = plain_table("shot\n", "ball\n", *figures, right=("shot\n", *figures), title=title, padding=0)
+    table.title_justify, table.title_style = "left", "bold"
     for shot in shots:
-        style = None if shot.status is ShotStatus.VALID else "red"
-        table.add_row(*(column.text(shot) for column in _COLUMNS), style=style)
+        cells = [str(shot.shot), shot.ball]
+        for _, _, name, form, scale in _FIGURES:
+            value = getattr(shot, name)
+            cells.append("–" if value is None else format(value / scale, form).replace("-", "−"))
+        table.add_row(*cells, style=None if shot.status is ShotStatus.VALID else "red")
     if reasons := [f"shot {shot.shot}, {shot.status}: {shot.reason}" for shot in shots if shot.reason]:
         table.caption = Text("\n".join(reasons), "red", justify="left")
         table.caption_justify = "left"
@@ -259,7 +221,7 @@ def own_bench(configuration: Configuration, log: Path) -> Iterator[None]:
     Raises:
         NotStarted: it does not come up.
     """
-    child = Child.start("bench", "bench.commands.campaign.demo.bench_process", BenchPlan(configuration, log))
+    child = Child.start("bench", "bench.commands.campaign.demo_bench", BenchPlan(configuration, log))
     timeout = 2.0  # nothing moves before it is ready
     try:
         child.wait_until_ready(_START)
@@ -307,7 +269,8 @@ def run_demo(
             entry = new_entry(plan, c, begin, simulated=True, real_time=facts)
             store.begin(entry)
             with campaign_bar() as bar:
-                outcome = run_campaign(entry, c, store, CampaignScreen(entry, plan, bar), asked.is_made)
+                screen = CampaignProgress(entry, plan, ProgressScreen(bar).follow)
+                outcome = run_campaign(entry, c, store, screen, asked.is_made)
             with console.status("bringing the robot to rest"):
                 running.close()
             write_result(title, store, entry, outcome, folder, c)

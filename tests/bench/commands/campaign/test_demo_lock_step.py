@@ -15,7 +15,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from bench.base.errors import BenchError, ExitCode
-from bench.commands.campaign.demo.demo import run_demo
+from bench.commands.campaign.demo import run_demo
 from bench.commands.cli import main
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings

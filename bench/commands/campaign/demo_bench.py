@@ -1,6 +1,6 @@
 """A complete bench as a child process, for the duration of a command.
 
-`python -m bench.commands.campaign.demo.bench_process`.
+`python -m bench.commands.campaign.demo_bench`.
 
 Plan: a pickled BenchPlan on stdin. Events on stdout: `ready`, commands are answered; `failed`, as from other
 children. It ends with the robot at rest, by SIGTERM or after its parent; the parent handles Ctrl-C.

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from bench.base.errors import ExitCode
-from bench.commands.campaign.demo.demo import demo_configuration, demo_plan
+from bench.commands.campaign.demo import demo_configuration, demo_plan
 from bench.config import load_configuration
 from bench.records.shot.shot import ShotStatus
 from bench.records.telemetry.recorder import read_swing

@@ -1,1 +1,0 @@
-"""`golfbench demo`: the shipped test of two balls, in real time or in lock-step."""
