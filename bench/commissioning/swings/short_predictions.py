@@ -71,7 +71,7 @@ class RecordedSwing:
 
     def motion(self, raw_angle: Array, latency: float) -> tuple[Array, Array]:
         """Return angles and speeds (n, 3) rad, rad/s at the rows; encoders read `latency` (s) late."""
-        at = np.arange(len(raw_angle), dtype=np.float64) + latency / self.tick
+        at = np.arange(len(raw_angle)) + latency / self.tick
         smooth = savgol_filter(raw_angle, _SMOOTH, _ORDER, axis=0)
         speed = savgol_filter(raw_angle, _SMOOTH, _ORDER, deriv=1, delta=self.tick, axis=0)
         return at_rows(smooth, at), at_rows(speed, at)
