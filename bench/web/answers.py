@@ -1,6 +1,6 @@
 """Requests of a browser and the page's answers: JSON, the page's own files, and files to download.
 
-A file to download is named by a listing and by nothing else.
+Requests name files to download as listings do, in no other way.
 """
 
 from __future__ import annotations

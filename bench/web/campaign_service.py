@@ -51,7 +51,7 @@ class CampaignArchive:
         """Yield the opened database.
 
         Raises:
-            Refused: there is none on this computer.
+            Refused: this computer has no database of the bench.
         """
         if not is_there(self._url):
             location, expected = f"bench {self._bench}", "the database on the bench's computer"
@@ -206,7 +206,7 @@ class RunningCampaigns:
         return [{"progress": one, "detail": self._details[_name_of(one)][1]} for one in running]
 
     def _detail(self, name: str, message: dict[str, Any]) -> tuple[Any, dict[str, Any] | None]:
-        """Return what the detail of campaign `name` depends on, and the detail; None if it is not here."""
+        """Return the key of the detail of campaign `name`, and the detail; None if it is not here."""
         key = [message.get(part) for part in ("shots", "state", "reason")]
         if (known := self._details.get(name)) is not None and known[0] == key:
             return known

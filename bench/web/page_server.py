@@ -10,6 +10,7 @@ import ssl
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.address import identity_files
@@ -64,13 +65,9 @@ def serve_page(
     with _listening(address) as listener, ExitStack() as stack:
         settings, broadcaster = configuration.bench, PageBroadcaster()
         downloads = Downloads(settings.data_dir, settings.id)
-        c = apply(calibration_of(configuration, datetime.now(UTC)), configuration)
-        reader = SwingReader(broadcaster.publish, c.plant, FlightConditions(c.air, c.wind, c.turf))
-        reader.start()
+        reader = _started_reader(configuration, broadcaster, downloads.newest())
         stack.callback(reader.close)
         ring = bench_folder(settings.id) / RING_FILE
-        if (newest := downloads.newest()) is not None:
-            reader.offer(newest)
         link = BenchLink(
             configuration.network,
             settings.id,
@@ -105,6 +102,18 @@ def serve_page(
         stack.callback(poller.close)
         application = page_application(service, campaigns, starts, commissionings, address.scheme, hosts)
         asyncio.run(_serve(application, link, broadcaster, address, listener, ready))
+
+
+def _started_reader(
+    configuration: Configuration, broadcaster: PageBroadcaster, newest: Path | None
+) -> SwingReader:
+    """Return a reader of swings with the calibrated plant; the `newest` record is its first."""
+    c = apply(calibration_of(configuration, datetime.now(UTC)), configuration)
+    reader = SwingReader(broadcaster.publish, c.plant, FlightConditions(c.air, c.wind, c.turf))
+    reader.start()
+    if newest is not None:
+        reader.offer(newest)
+    return reader
 
 
 def _require_packages() -> None:
