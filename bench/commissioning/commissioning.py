@@ -334,20 +334,18 @@ def _do(
     record: str = "",
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Do `step` by `work`, timed by `clock` (s), and store in `state` that it is done, or what is wrong."""
+    """Do `step` by `work`, timed by `clock` (s), and store in `state` that it is done, or its fault."""
     on_step(step)
     begun = clock()
     try:
         result = work()
     except MachineFault as error:
-        failed = datetime.now(UTC).isoformat()
-        state.wrong = FaultRecord(
-            step.name, failed, error.location, error.found, error.expected, error.action
-        )
+        date = datetime.now(UTC).isoformat()
+        state.wrong = FaultRecord(step.name, date, error.location, error.found, error.expected, error.action)
         state.save()
         raise
-    named, date, seconds = (step.name, step.title, step.bounds_text), datetime.now(UTC), clock() - begun
-    done = DoneStep(*named, date.isoformat(), seconds, record, result.values, result.notes)
+    named, date = (step.name, step.title, step.bounds_text), datetime.now(UTC).isoformat()
+    done = DoneStep(*named, date, clock() - begun, record, result.values, result.notes)
     others = [one for one in state.done if one.name != step.name]
     state.done = [done, *others] if step is INPUT_CHECK else [*others, done]
     state.save()

@@ -177,7 +177,7 @@ class MotionLog:
         )
 
 
-def at_rows(table: NDArray[Any], rows: Array) -> Array:
+def at_rows(table: NDArray[Any], rows: NDArray[Any]) -> Array:
     """Return the values of `table` (n, c) at fractional `rows` (k,), (k, c)."""
     return np.column_stack([np.interp(rows, np.arange(len(table)), column) for column in table.T])
 
