@@ -24,7 +24,7 @@ from bench.campaign.statistics.sample_size import predict_precision
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
-from tests.benchmarks.swept import Sweeper, add_engine_options, in_this_process, sweeper
+from tests.benchmarks.swept import add_engine_options, swept
 
 SEED = 20261121
 CAMPAIGNS = 10_000
@@ -107,9 +107,10 @@ class KnownCampaigns:
 
     def prepared(self) -> Callable[[int], Tally]:
         """Return the function of a seed."""
-        return self._judged
+        return self.judged
 
-    def _judged(self, seed: int) -> Tally:
+    def judged(self, seed: int) -> Tally:
+        """Return the tally of the campaign of `seed`."""
         names = levels(self.plan)
         true = {pair: self.truth.difference * (pair[0] == names[0]) for pair in combinations(names, 2)}
         result = analyse(self.plan, campaign_shots(self.plan, self.truth, seed), 1, "").confirmatory
@@ -151,8 +152,11 @@ def plans() -> tuple[CampaignPlan, CampaignPlan]:
     return two, four
 
 
-def survey(campaigns: int, swept: Sweeper = in_this_process) -> list[Row]:
-    """Return what `campaigns` campaigns a case give; three standard errors, or 5 points for power."""
+def survey(campaigns: int, options: argparse.Namespace | None = None) -> list[Row]:
+    """Return what `campaigns` campaigns a case give; three standard errors, or 5 points for power.
+
+    Without `options` of an engine they run in this process.
+    """
     two, four = plans()
     rows: list[Row] = []
     drifting = Truth(drift=0.05)
@@ -169,7 +173,12 @@ def survey(campaigns: int, swept: Sweeper = in_this_process) -> list[Row]:
 
     def tally(plan: CampaignPlan, truth: Truth, first_seed: int) -> Tally:
         seeds = range(first_seed, first_seed + campaigns)
-        tallies = swept(KnownCampaigns(plan, truth), seeds, f"{len(levels(plan))} balls")
+        study = KnownCampaigns(plan, truth)
+        tallies = (
+            swept(options, study, seeds, f"{len(levels(plan))} balls")
+            if options
+            else list(map(study.judged, seeds))
+        )
         return Tally(*(sum(column) for column in zip(*(astuple(one) for one in tallies), strict=True)))
 
     null = tally(two, drifting, 0)
@@ -211,4 +220,4 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--campaigns", type=int, default=CAMPAIGNS, help="a case")
     add_engine_options(parser)
     options = parser.parse_args(arguments)
-    return survey(options.campaigns, sweeper(options))
+    return survey(options.campaigns, options)

@@ -46,23 +46,7 @@ WINDOW = 512
 
 VERBS = tuple(map(str, Verb))
 _LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789-_é"
-_JSON_BITS = (
-    '"',
-    "{",
-    "}",
-    "[",
-    "]",
-    ",",
-    ":",
-    "1e999",
-    "NaN",
-    "null",
-    "\\ud800",
-    "\x00",
-    '"version": 1',
-    "-0",
-    "é",
-)
+_JSON_BITS = (*'"{}[],:', "1e999", "NaN", "null", "\\ud800", "\x00", '"version": 1', "-0", "é")
 
 
 class Sent(NamedTuple):

@@ -108,22 +108,8 @@ def _learned(seeds: range, configuration: Configuration, console: Console) -> li
     learned = [one for one in found if one.exit_code == 0]
     shares = [one.speed / one.highest for one in learned]
     return [
-        Row(
-            NAME,
-            "robots with a learned swing",
-            len(learned),
-            f"of {len(found)}",
-            "",
-            at_least=0.9 * len(found),
-        ),
-        Row(
-            NAME,
-            "least share of the designer's speed",
-            100.0 * min(shares, default=0.0),
-            "%",
-            "",
-            at_least=90.0,
-        ),
+        Row(NAME, "robots with a learned swing", len(learned), f"of {len(found)}", "", 0.9 * len(found)),
+        Row(NAME, "least share of the designer's speed", 100.0 * min(shares, default=0.0), "%", "", 90.0),
     ]
 
 

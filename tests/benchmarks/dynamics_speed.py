@@ -111,13 +111,11 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Measure; about ten seconds."""
     argparse.ArgumentParser(description=__doc__).parse_args(arguments)
     robot = thesis_robot()
-    pinocchio = PinocchioRobot(robot, "Euler")
+    pinocchio = PinocchioRobot(robot)
     works: dict[str, Work] = {
-        "golfbench, Euler": _steps(CompiledRobot(robot, "Euler")),
-        "golfbench, RK4": _steps(CompiledRobot(robot, "RK4")),
-        "MuJoCo, Euler, default settings": _steps(MujocoRobot(robot, "Euler", "default")),
-        "MuJoCo, Euler, lean settings": _steps(MujocoRobot(robot, "Euler", "lean")),
-        "MuJoCo, RK4, lean settings": _steps(MujocoRobot(robot, "RK4", "lean")),
+        "golfbench, Euler": _steps(CompiledRobot(robot)),
+        "MuJoCo, Euler, default settings": _steps(MujocoRobot(robot, "default")),
+        "MuJoCo, Euler, lean settings": _steps(MujocoRobot(robot)),
         "Pinocchio, Euler, loop in Python": _steps(pinocchio),
         "Pinocchio, constraintDynamics alone": pinocchio.evaluate,
         "Pinocchio, the same call on an empty model": bare_call,
@@ -132,10 +130,6 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             times["MuJoCo, Euler, lean settings"] / own,
             PROMISED_RATIO,
         ),
-        "MuJoCo / golfbench, RK4, lean settings": (
-            times["MuJoCo, RK4, lean settings"] / times["golfbench, RK4"],
-            None,
-        ),
         "Pinocchio / golfbench, Euler, called from Python": (
             times["Pinocchio, Euler, loop in Python"] / own,
             None,
@@ -149,7 +143,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         Row(
             "same model",
             "MuJoCo, accelerations off by",
-            disagreement(MujocoRobot(robot, "Euler")),
+            disagreement(MujocoRobot(robot)),
             "",
             f"worst of {STATES} states; MuJoCo's loop is soft by design",
             at_most=5e-4,

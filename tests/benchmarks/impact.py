@@ -1,4 +1,4 @@
-"""Impact: ball speed, launch and spin of the bag against published averages; gear effect; the bag.
+"""Impact: ball speed, launch and spin of the bag against published averages; gear effect.
 
 `--fit` fits restitution, its slope and the loss factor again to every other tour row and prints them.
 """
@@ -10,14 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import cos, degrees, radians, sin
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from bench.config import load_configuration
-from sim.flight import Launch, fly
+from sim.flight import Launch
 from sim.impact import strike
 from sim.robot import Club
 from tests.benchmarks.row import Row
@@ -30,11 +28,9 @@ from tests.sim.tour_averages import (
     Average,
     Error,
     Fitted,
-    FlownAverage,
     club_of,
     error_of,
     fit,
-    flown_averages,
     lofted_averages,
     rms,
     stiffness_of,
@@ -42,10 +38,6 @@ from tests.sim.tour_averages import (
 )
 
 NAME = "impact"
-YARD = 0.9144
-BAG = ("Driver", "3-wood", "Hybrid", "5-iron", "7-iron", "9-iron", "PW")
-WEDGE = (78 * MPH, radians(-5.0), radians(50.0))
-"""Speed, attack and dynamic loft of a full 56 degree wedge; assumption, no average is published."""
 
 
 def _print_table(table: Table) -> None:
@@ -158,59 +150,6 @@ def _gear_rows(club: Club) -> list[Row]:
     ]
 
 
-# --- The bag ----------------------------------------------------------------------------------------
-
-
-def _bag_table(bag: Mapping[str, Club]) -> tuple[Table, list[dict[str, Any]]]:
-    """Return carry, launch, spin and descent of the bag's clubs against the tours', from their deliveries."""
-    table = _table(
-        "the bag, from the tours' deliveries: model (tour)",
-        *("club", "mph", "attack", "loft, own", "ball mph", "launch", "rpm", "carry yd", "descent"),
-    )
-    found = []
-    for flown in flown_averages():
-        a = flown.average
-        if a.club not in BAG:
-            continue
-        club = club_of(a.club, bag)
-        launch = strike(delivery_from_angles(a.speed, a.attack, 0.0, 0.0, a.loft), club, BALL)
-        flight = fly(launch, ball=BALL)
-        values = {
-            "launch": (degrees(launch.launch_angle), degrees(a.launch)),
-            "spin": (launch.spin / RPM, a.spin / RPM),
-            "carry": (flight.carry / YARD, flown.carry / YARD),
-            "descent": (degrees(flight.landing_angle), degrees(flown.landing_angle)),
-        }
-        found.append({"tour": a.group, "club": a.club, **values})
-        table.add_row(
-            a.name,
-            f"{a.speed / MPH:.0f}",
-            f"{degrees(a.attack):+.1f}",
-            f"{degrees(a.loft):.1f}, {degrees(club.loft):.1f}",
-            f"{launch.speed / MPH:.0f} ({a.ball_speed / MPH:.0f})",
-            *(
-                f"{model:.{places}f} ({tour:.{places}f})"
-                for places, (model, tour) in zip((1, 0, 0, 0), values.values(), strict=True)
-            ),
-        )
-    for name in ("wedge56", "wedge56_wet"):
-        speed, attack, loft = WEDGE
-        launch = strike(delivery_from_angles(speed, attack, 0.0, 0.0, loft), bag[name], BALL)
-        flight = fly(launch, ball=BALL)
-        table.add_row(
-            name,
-            f"{speed / MPH:.0f}",
-            f"{degrees(attack):+.1f}",
-            f"{degrees(loft):.1f}, {degrees(bag[name].loft):.1f}",
-            f"{launch.speed / MPH:.0f}",
-            f"{degrees(launch.launch_angle):.1f}",
-            f"{launch.spin / RPM:.0f}",
-            f"{flight.carry / YARD:.0f}",
-            f"{degrees(flight.landing_angle):.0f}",
-        )
-    return table, found
-
-
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Print the tables and return the figures."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks impact", description=__doc__)
@@ -222,15 +161,11 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         "tour averages 2023, loft from spin; published, error of the model", averages, bag
     )
     lofted, with_loft = _errors("averages with a published loft", lofted_averages(), bag)
-    shown, found = _bag_table(bag)
-    for table in (tours, lofted, shown):
+    for table in (tours, lofted):
         _print_table(table)
     if given.fit:
         _print_table(_fitted(fit(averages, bag)))
     pairs = list(zip(averages, errors, strict=True))
-    carries = [model - tour for row in found for model, tour in [row["carry"]]]
-    descents = [model - tour for row in found for model, tour in [row["descent"]]]
-    own = [_descent(f) for f in flown_averages() if f.average.club in BAG]
     return [
         *_rms_rows("held out", [e for a, e in pairs if a.held_out], True),
         *_rms_rows(
@@ -241,26 +176,4 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         *_rms_rows("fitted", [e for a, e in pairs if not a.held_out], False),
         *_rms_rows("published loft", with_loft, False),
         *_gear_rows(bag["wood1"]),
-        Row(NAME, "descent of the bag", _rms(descents), "deg rms", f"{len(descents)} rows"),
-        Row(
-            NAME, "descent from the tours' own launches", _rms(own), "deg rms", "what the flight model misses"
-        ),
-        Row(
-            NAME,
-            "carry of the bag",
-            _rms(carries),
-            "yd rms",
-            f"{len(carries)} rows",
-        ),
     ]
-
-
-def _descent(flown: FlownAverage) -> float:
-    """Return the error (deg) of the descent when the tour's own launch is flown."""
-    a = flown.average
-    flight = fly(Launch(a.ball_speed, a.launch, 0.0, a.spin, 0.0), ball=BALL)
-    return degrees(flight.landing_angle - flown.landing_angle)
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -18,8 +18,6 @@ from tests.benchmarks.right_arm import with_right_arm
 
 Array = NDArray[np.float64]
 
-INTEGRATORS = {"Euler": mujoco.mjtIntegrator.mjINT_EULER, "RK4": mujoco.mjtIntegrator.mjINT_RK4}
-
 SETTINGS = ("default", "lean")
 """`default`: as delivered. `lean`: every stage this model does not need is switched off, dense matrices,
 and conjugate gradients, measured as the fastest of MuJoCo's solvers here (fewer iterations than it takes
@@ -67,12 +65,12 @@ def _not_needed() -> int:
 class MujocoRobot:
     """The robot in MuJoCo, with one of its `SETTINGS`."""
 
-    def __init__(self, robot: RobotParameters, rule: str, settings: str = "lean") -> None:
+    def __init__(self, robot: RobotParameters, settings: str = "lean") -> None:
         self._robot = robot
         self._model = mujoco.MjModel.from_xml_string(_model(robot))
         self._data = mujoco.MjData(self._model)
         option = self._model.opt
-        option.integrator = INTEGRATORS[rule]
+        option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         if settings != "default":
             option.disableflags = _not_needed()
             option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE

@@ -65,11 +65,9 @@ def _robot_problem(robot: RobotParameters) -> _Problem:
 class PinocchioRobot:
     """The robot in Pinocchio, integrated by a loop in Python."""
 
-    def __init__(self, robot: RobotParameters, rule: str) -> None:
+    def __init__(self, robot: RobotParameters) -> None:
         self._robot = robot
         self._problem = _robot_problem(robot)
-        self._advance = {"Euler": self._euler, "RK4": self._runge_kutta}[rule]
-        self.evaluations = {"Euler": 1, "RK4": 4}[rule]
         self._q, self._u, self._effort = np.zeros(5), np.zeros(5), np.zeros(5)
 
     def start(self, q: Array, u: Array) -> None:
@@ -88,34 +86,21 @@ class PinocchioRobot:
 
     def acceleration(self) -> Array:
         """Accelerations (rad/s2) of the joints in the present state."""
-        return np.array(self._rate(self._q, self._u)[:3])
+        return np.array(self._accelerations()[:3])
 
-    def _rate(self, q: Array, u: Array) -> Array:
+    def _accelerations(self) -> Array:
         p = self._problem
-        acceleration: Array = pin.constraintDynamics(
-            p.model, p.data, q, u, self._effort, p.constraints, p.constraint_data, p.solver
+        found: Array = pin.constraintDynamics(
+            p.model, p.data, self._q, self._u, self._effort, p.constraints, p.constraint_data, p.solver
         )
-        return acceleration
+        return found
 
-    def _euler(self, dt: float, steps: int) -> None:
+    def _advance(self, dt: float, steps: int) -> None:
         p, q, u, effort = self._problem, self._q, self._u, self._effort
         arguments = (p.constraints, p.constraint_data, p.solver)
         for _ in range(steps):
             u += dt * pin.constraintDynamics(p.model, p.data, q, u, effort, *arguments)
             q += dt * u
-
-    def _runge_kutta(self, dt: float, steps: int) -> None:
-        q, u, rate = self._q, self._u, self._rate
-        for _ in range(steps):
-            a = rate(q, u).copy()
-            v = u + dt / 2 * a
-            b = rate(q + dt / 2 * u, v).copy()
-            w = u + dt / 2 * b
-            c = rate(q + dt / 2 * v, w).copy()
-            x = u + dt * c
-            d = rate(q + dt * w, x)
-            q += dt / 6 * (u + 2 * (v + w) + x)
-            u += dt / 6 * (a + 2 * (b + c) + d)
 
     def evaluate(self, n: int) -> None:
         """Call `constraintDynamics` n times from Python."""

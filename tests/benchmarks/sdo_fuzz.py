@@ -82,14 +82,8 @@ class LyingNodes:
             case 2:
                 return [(identifier, chance.randbytes(chance.randrange(9)))]
             case 3:  # another value, in another size
-                return [
-                    (
-                        identifier,
-                        bytes([chance.choice((0x43, 0x47, 0x4B, 0x4F, 0x42))])
-                        + location
-                        + chance.randbytes(4),
-                    )
-                ]
+                size = bytes([chance.choice((0x43, 0x47, 0x4B, 0x4F, 0x42))])
+                return [(identifier, size + location + chance.randbytes(4))]
             case 4:  # segments are announced, and anything follows
                 return [(identifier, bytes([chance.choice((0x40, 0x41))]) + location + chance.randbytes(4))]
             case 5:  # segments without an end

@@ -4,39 +4,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Hashable, Sequence
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from bench.commands.common.command import sweep_engine
 from bench.commands.common.output import progress_bar
 from bench.config import Configuration, load_configuration
-from bench.simulation.local_engine import InProcess
 from bench.simulation.sweep import Study, sweep
 from bench.simulation.sweep_store import SweepStore
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")
-
-
-class Sweeper(Protocol):
-    """Runs a study's cases on an engine that was chosen."""
-
-    def __call__(self, study: Study[Case, Result], cases: Sequence[Case], what: str) -> list[Result]:
-        """Return the results of `cases` in their order; `what` names them on the bar of progress."""
-        ...
-
-
-def in_this_process(study: Study[Case, Result], cases: Sequence[Case], what: str = "") -> list[Result]:
-    """Run `cases` one after the other here: a `Sweeper`."""
-    return sweep(study, cases, InProcess())
-
-
-def sweeper(options: argparse.Namespace) -> Sweeper:
-    """Return the sweeper of the engine of `options`."""
-
-    def run(study: Study[Case, Result], cases: Sequence[Case], what: str) -> list[Result]:
-        return swept(options, study, cases, what)
-
-    return run
 
 
 def add_engine_options(parser: argparse.ArgumentParser) -> None:

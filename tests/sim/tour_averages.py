@@ -105,24 +105,6 @@ def tour_averages() -> list[Average]:
     ]
 
 
-@dataclass(frozen=True)
-class FlownAverage:
-    """A tour average with its flight: carry (m), landing angle (rad)."""
-
-    average: Average
-    carry: float
-    landing_angle: float
-
-
-def flown_averages() -> list[FlownAverage]:
-    """Return the 23 rows with their flights."""
-    rows = _rows("tour_averages_2023.csv")
-    return [
-        FlownAverage(average, float(row["carry_yd"]) * 0.9144, radians(float(row["landing_angle_deg"])))
-        for average, row in zip(tour_averages(), rows, strict=True)
-    ]
-
-
 def lofted_averages() -> list[Average]:
     """Return 13 rows with a published dynamic loft, tours and amateurs; none is fitted for its loft."""
     return [_average(r, r["group"], held_out=True) for r in _rows("driver_averages.csv")]
