@@ -51,7 +51,9 @@ Method = Annotated[str, option("Method and tool of the measurement.", "TEXT")]
 Note = Annotated[str, option("Remark.", "TEXT")]
 
 
-AngleUncertainty = Annotated[float, option("Standard uncertainty of each angle zero.", "DEG")]
+AngleUncertainty = Annotated[
+    float, option("Standard uncertainty of each angle zero.", "DEG", low=0.0, high=5.0)
+]
 ZeroCounts = Annotated[Three | None, option("Counts at joint angle zero.", "SHOULDER ARM WRIST")]
 LockedPose = Annotated[
     Three | None,
@@ -124,9 +126,9 @@ def encoders(
 @app.command()
 def ball(
     context: typer.Context,
-    x: Annotated[float, option("Ball's centre towards the target, from R1.", "M")],
-    y: Annotated[float, option("Ball's centre up the swing plane, from R1.", "M")],
-    uncertainty_mm: Annotated[float, option("Standard uncertainty of both.", "MM")],
+    x: Annotated[float, option("Ball's centre towards the target, from R1.", "M", low=-3.0, high=3.0)],
+    y: Annotated[float, option("Ball's centre up the swing plane, from R1.", "M", low=-3.0, high=3.0)],
+    uncertainty_mm: Annotated[float, option("Standard uncertainty of both.", "MM", low=0.0, high=50.0)],
     method: Method = "position entered",
     by: By = "",
     expires_days: Days = None,
@@ -143,11 +145,15 @@ def ball(
 @app.command()
 def club(
     context: typer.Context,
-    length: Annotated[float, option("Wrist axis R3 to the centre of the face.", "M")],
-    loft_deg: Annotated[float, option("Loft in the mount.", "DEG")],
-    lie_deg: Annotated[float, option("Lie in the mount.", "DEG")],
-    length_uncertainty_mm: Annotated[float, option("Standard uncertainty of the length.", "MM")],
-    angle_uncertainty_deg: Annotated[float, option("Standard uncertainty of the angles.", "DEG")],
+    length: Annotated[float, option("Wrist axis R3 to the centre of the face.", "M", low=0.3, high=1.5)],
+    loft_deg: Annotated[float, option("Loft in the mount.", "DEG", low=0.0, high=70.0)],
+    lie_deg: Annotated[float, option("Lie in the mount.", "DEG", low=35.0, high=80.0)],
+    length_uncertainty_mm: Annotated[
+        float, option("Standard uncertainty of the length.", "MM", low=0.0, high=50.0)
+    ],
+    angle_uncertainty_deg: Annotated[
+        float, option("Standard uncertainty of the angles.", "DEG", low=0.0, high=5.0)
+    ],
     name: Annotated[
         str | None, argument("CLUB", "Club of the configuration.", shown="the mounted one")
     ] = None,

@@ -125,6 +125,25 @@ def test_calibrate_show_expired_calibration_exits_refused(golfbench: Run, tmp_pa
     assert "calibration ball version 1 expired on 2020-01-02" in text
 
 
+@pytest.mark.parametrize(
+    ("command", "option", "value"),
+    [
+        *((CLUB, "--loft-deg", value) for value in ("80", "-1", "nan")),
+        *((CLUB, option, "90") for option in ("--lie-deg", "--length", "--angle-uncertainty-deg")),
+        *((BALL, option, "60") for option in ("--x", "--y", "--uncertainty-mm")),
+        (POSE, "--uncertainty-deg", "6"),
+    ],
+)
+def test_calibrate_value_out_of_range_names_option(
+    golfbench: Run, command: list[str], option: str, value: str
+) -> None:
+    given = list(command)
+    given[given.index(option) + 1] = value
+    code, _, errors = golfbench("calibrate", *given)
+    assert (code, option in errors) == (ExitCode.BAD_INPUT, True)
+    assert "rad" not in errors
+
+
 def test_calibrate_club_stores_length_and_lie(golfbench: Run) -> None:
     code, text, _ = golfbench("calibrate", *CLUB, "--json")
     values = json.loads(text)["values"]
@@ -168,7 +187,6 @@ def test_calibrate_encoders_stores_device_presets(golfbench: Run, tmp_path: Path
 @pytest.mark.parametrize(
     ("arguments", "code", "texts"),
     [
-        (["ball", "--x", "9", "--y", "nan", "--uncertainty-mm", "1"], 2, ["ball: x", "ball: y"]),
         (["ball", "--x", "0.6", "--y", "-1.5", "--uncertainty-mm", "1"], 2, ["0.355 m from", "plant.site"]),
         ([*BALL, "--by", " "], 2, ["--by"]),
         ([*CLUB, "hickory"], 2, ['"hickory"', "driver, thesis, iron7"]),
