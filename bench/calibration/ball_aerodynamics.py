@@ -315,7 +315,7 @@ class _Fit:
     def covariance(
         self, factors: Array, whiteners: Sequence[Array], calibration: FlightUncertainty, widening: float
     ) -> Array:
-        """Return the covariance of `factors`: of the scatter times `widening`, and of the calibration."""
+        """Return the covariance of `factors`: scatter times `widening`, plus that of the calibration."""
         by_factor = self._by_factor(factors, whiteners)
         information = by_factor.T @ by_factor
         if np.linalg.cond(information) > 1e12:

@@ -273,7 +273,7 @@ def write_plant_file(
     """
     lines = ["# Identified from recorded swings: value, standard error."]
     for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):
-        unit = "ms more" if name == NAMES[-1] else "of the nominal"
+        unit = "ms more" if name == NAMES[-1] else "times nominal"
         doubt = "" if known else "; NOT identified, a guess"
         lines.append(f"# {name}: {value:.4f} {unit}, {error:.4f}{doubt}")
     lines += [f"base = {toml_value(str(configuration.files[-1].resolve()))}", ""]

@@ -378,7 +378,7 @@ def command(*arguments: str) -> int:
 
 def test_replay_command_equal_record_reports_equal(capsys: pytest.CaptureFixture[str]) -> None:
     assert command(str(SWING)) == 0
-    assert "Equal: today's controller does what was recorded." in capsys.readouterr().out
+    assert "Equal: today's controller repeats the record." in capsys.readouterr().out
 
 
 def test_replay_command_different_record_reports_first_tick(

@@ -287,7 +287,7 @@ def replay(
     console.print(replay_summary(replayed, metadata, tolerance), highlight=False)
     first = min((d for d in differences if d.ticks), key=lambda d: d.tick or 0, default=None)
     if first is None:
-        console.print("Equal: today's controller does what was recorded.", style="green", highlight=False)
+        console.print("Equal: today's controller repeats the record.", style="green", highlight=False)
     else:
         told = f"Different: first in tick {first.tick}, {first.field}."
         console.print(told, style="red", highlight=False)

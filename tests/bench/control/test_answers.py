@@ -503,9 +503,7 @@ def executed(situation: Situation, request: Request, state: State) -> Any:
 
 
 @pytest.mark.parametrize(("state", "later"), [(State.RECOVERING, True), (State.ARMED, False)])
-def test_execute_request_disarm_during_return_waits_for_its_end(
-    good: Make, state: State, later: bool
-) -> None:
+def test_execute_request_disarm_during_return_waits_for_end(good: Make, state: State, later: bool) -> None:
     s = executed(good(Request.DISARM), Request.DISARM, state)
     assert s["disarming"] == later
     assert (s["state"] == State.RECOVERING) == later

@@ -49,7 +49,7 @@ def test_write_plant_file_loads_as_identified_configuration(tmp_path: Path) -> N
     robot = variation_of(values, BENCH).applied_to(BENCH.model)
     path = tmp_path / "robot.toml"
     write_plant_file(path, robot, found, SHIPPED)
-    assert f"{NAMES[0]}: 1.0500 of the nominal, 0.2000; NOT identified" in path.read_text()
+    assert f"{NAMES[0]}: 1.0500 times nominal, 0.2000; NOT identified" in path.read_text()
     again = load_configuration(path)
     assert again.plant == robot
     assert again.control == SHIPPED.control
