@@ -15,7 +15,7 @@ from typing import Any
 from bench.base.errors import BenchError, ExitCode
 from bench.simulation.one_blas_thread import one_blas_thread_in_children
 from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Engine, Study, prepare, run_batch
-from drivers.base.compiled import announce_compilation
+from drivers.base.compile_report import announce_compilation
 
 _PR_SET_PDEATHSIG = 1
 _LOST_IN_A_ROW = 3

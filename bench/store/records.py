@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sim.aerodynamics import Air
+if TYPE_CHECKING:
+    from sim.aerodynamics import Air
 
 
 class CampaignState(StrEnum):
@@ -205,6 +206,8 @@ class AirReading(NamedTuple):
     @property
     def air(self) -> Air:
         """The air that was read."""
+        from sim.aerodynamics import Air  # compiled code, which most commands of a campaign do without
+
         return Air(self.temperature, self.pressure, self.relative_humidity)
 
 

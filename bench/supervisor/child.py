@@ -23,7 +23,7 @@ import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.supervisor.child_process import FOR_PARENT, HEARTBEAT, Condition, heartbeat_file
-from drivers.base.compiled import report_compilation
+from drivers.base.compile_report import report_compilation
 from drivers.base.shared_memory import SharedRecord
 
 _READ = 65536

@@ -23,7 +23,7 @@ from bench.base.errors import BenchError, ExitCode
 from bench.base.interrupt import HANGUP
 from bench.base.lifecycle import Cause
 from drivers.base import DriverError
-from drivers.base.compiled import announce_compilation
+from drivers.base.compile_report import announce_compilation
 from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 
 if TYPE_CHECKING:  # each process loads only what it needs

@@ -19,11 +19,11 @@ from math import degrees, isfinite, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from bench.records.telemetry.atomic_file import atomic_file
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from drivers.base import Launch
     from sim.flight import Flight
     from sim.impact import Delivery
@@ -218,7 +218,9 @@ def _to_cell(value: object) -> str:
     if isinstance(value, datetime):
         return value.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
     if isinstance(value, float):
-        return np.format_float_positional(value, unique=True, trim="0")
+        from numpy import format_float_positional  # commands of a running bench do without numpy
+
+        return format_float_positional(value, unique=True, trim="0")
     if isinstance(value, str) and _FORMULA.match(value):
         return f"'{value}"
     return str(value)

@@ -220,7 +220,7 @@ def test_bench_client_concurrent_threads_keep_sequence_order(
 def test_wait_for_latched_fault_is_refused(running: RunningPlane, bench: BenchClient) -> None:
     running.service.state = State.READY
     with Supervisor(running):
-        late = threading.Timer(0.2, running.service.stop)
+        late = threading.Timer(0.2, running.service.stop, [Request.STOP])
         late.start()
         with pytest.raises(Refused, match="FAULT in phase STANDING: the bench was switched on"):
             bench.wait_for("ARMED", timeout=10.0)

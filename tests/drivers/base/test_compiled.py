@@ -13,7 +13,7 @@ import numba
 import pytest
 
 from drivers.base import compiled
-from drivers.base.compiled import CompileProgress, announce_compilation
+from drivers.base.compile_report import CompileProgress, announce_compilation
 
 TOP = Path(__file__).parents[3]
 

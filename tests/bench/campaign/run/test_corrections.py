@@ -89,8 +89,8 @@ class School:
     def robot(self, problem: LearningProblem) -> AbstractContextManager[Swinger]:
         return nullcontext(lambda weights: pytest.fail("no learning expected"))
 
-    def _learn(self, problem: Any, swinger: Swinger, settings: Any, start: Any) -> Any:
-        self.lessons.append((settings.swings, start))
+    def _learn(self, problem: Any, swinger: Swinger, swings: int, start: Any) -> Any:
+        self.lessons.append((swings, start))
         return len(self.lessons)
 
     def _stored(self, result: Any, *args: Any, beside: dict[str, Any], **_: Any) -> Learned:

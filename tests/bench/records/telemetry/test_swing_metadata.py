@@ -78,7 +78,7 @@ def test_swing_metadata_outcome_lists_states_and_first_cause(make_day: MakeDay) 
     metadata = describe(RecordSegment(cycles, "swing", 0))
     assert metadata["outcome"]["states"] == [[1, "READY"], [101, "ARMED"], [301, "SWINGING"], [501, "FAULT"]]
     assert metadata["outcome"]["cause"] == "WRIST_RANGE"
-    assert "wrist angle" in metadata["outcome"]["text"]
+    assert "wrist outside its working range" in metadata["outcome"]["text"]
     assert metadata["complete"]
     assert metadata["time_utc"] == "2026-11-21T12:00:00.123456+00:00"
     json.dumps(metadata, allow_nan=False)
