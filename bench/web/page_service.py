@@ -11,9 +11,10 @@ import asyncio
 import secrets
 import time
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from enum import Enum
+from pathlib import Path
 from threading import Barrier, Lock
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -41,6 +42,10 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 T = TypeVar("T")
+MAX_DOWNLOADS = 8
+"""Max number of downloads at a time."""
+PART = 1 << 16
+"""Size of a part of a file, bytes."""
 TICKET = "golfbench-ticket"
 """Header with the ticket of a lease."""
 _GUESS_TIME = 1.0
@@ -82,6 +87,8 @@ class PageService:
         self._files = static_files()
         self._pools = {pool: _started_pool(pool) for pool in Pool}
         self._signing_in = asyncio.Lock()
+        self._open = 0
+        """Number of downloads under way."""
 
     def close(self) -> None:
         """End the threads of commands."""
@@ -182,16 +189,33 @@ class PageService:
         """Return the endpoint of the file that `find` returns for the names in a path; None: no such file."""
 
         async def answer(request: Request) -> Response:
-            from starlette.responses import FileResponse
+            from starlette.responses import StreamingResponse
 
             if (refusal := self.needing(PageRole.VIEWER, request)) is not None:
                 return refusal
-            loop, pool = asyncio.get_running_loop(), self._pools[Pool.LOOKUPS]
-            if (found := await loop.run_in_executor(pool, find, request.path_params)) is None:
+            found = await self._looked_up(lambda: find(request.path_params))
+            if found is None:
                 return json_answer({"what": "There is no such file."}, 404)
-            return FileResponse(found.path, media_type=found.kind, headers=found.headers)
+            if self._open >= MAX_DOWNLOADS:
+                action = "Try again when one has ended."
+                return json_answer({"what": "Too many downloads.", "action": action}, 503)
+            return StreamingResponse(self._parts(found.path), media_type=found.kind, headers=found.headers)
 
         return answer
+
+    async def _parts(self, path: Path) -> AsyncIterator[bytes]:
+        """Yield the file at `path` in parts, so that a slow reader costs no more than one of them."""
+        self._open += 1
+        try:
+            with path.open("rb") as stream:
+                while part := await self._looked_up(lambda: stream.read(PART)):
+                    yield part
+        finally:
+            self._open -= 1
+
+    async def _looked_up(self, work: Callable[[], T]) -> T:
+        """Return the outcome of `work`, done in the threads for lookups."""
+        return await asyncio.get_running_loop().run_in_executor(self._pools[Pool.LOOKUPS], work)
 
     async def answered(self, pool: Pool, work: Callable[[], Any]) -> Response:
         """Return the outcome of `work`, done in `pool`, or why it was refused."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from drivers.base import compiled
+from drivers.base import compile_report
 from drivers.base.compile_report import CompileProgress, announce_compilation
 
 TOP = Path(__file__).parents[3]
@@ -123,7 +123,7 @@ def test_compiled_call_old_or_unreadable_cache_recompiles(copy: Path) -> None:
 
 @pytest.fixture
 def heard(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    monkeypatch.setattr(compiled, "_report", str)
+    monkeypatch.setattr(compile_report, "_report", str)
     lines: list[str] = []
     announce_compilation(lines.append)
     return lines
