@@ -81,8 +81,8 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
 
 def _phases(given: Any, default: Any, section: str, table: str, optional: Set[str]) -> Iterator[Mistake]:
     """Yield the phases that `table` of `given` lacks, or that `default` does not know."""
-    wanted = getattr(default, table).keys() - optional
-    for name in (getattr(given, table).keys() - optional) ^ wanted:
+    wanted = [name for name in getattr(default, table) if name not in optional]
+    for name in sorted((getattr(given, table).keys() - optional) ^ set(wanted)):
         found = "nothing" if name in wanted else "an unknown phase"
         yield f"{section}.{table}.{name}", found, f"each of {', '.join(wanted)} once", "Correct the table."
 
