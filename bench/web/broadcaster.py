@@ -135,12 +135,11 @@ class TopicPoller:
             for topic, look in self._looks.items():
                 try:
                     content = look()
-                except Exception as error:  # no bench, a folder that goes meanwhile, a session that closes
+                    if topic not in shown or content != shown[topic]:
+                        self._broadcaster.publish(topic, content)
+                        shown[topic] = content
+                except Exception as error:  # no bench, a folder that goes, a session that closes, NaN
                     _log.debug("page: %s: %s", topic, error)
-                    continue
-                if topic not in shown or content != shown[topic]:
-                    self._broadcaster.publish(topic, content)
-                    shown[topic] = content
             self._ended.wait(_PERIOD)
 
 

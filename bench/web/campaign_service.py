@@ -310,8 +310,9 @@ class CampaignService:
                 raise UnknownName("request")
         asked.once(fresh=name == "resume")  # the robot moves then
         data_dir = self._archive.data_dir
+        state = self._archive.state(campaign)  # refuses an unknown name before any file is looked at
         if name == "resume" and not is_running(data_dir, campaign):
-            if (state := self._archive.state(campaign)) in ENDED:
+            if state in ENDED:
                 expected, action = "an unfinished campaign", "Begin a new one."
                 raise Refused(f"campaign {campaign}", str(state), expected, action)
             more = ["--ask"] if asked.body.get("ask") is True else []

@@ -20,6 +20,7 @@ from bench.web.answers import InvalidBody, number_in, text_in
 
 MAX_NOTE_LENGTH = 200
 MAX_DAYS = 3650
+MAX_NUMBER = 1e9
 _NAMES = ("shoulder", "arm", "wrist")
 
 
@@ -188,6 +189,8 @@ def _number(field: FormField, value: Any) -> str:
         InvalidBody: it is no number, or no count where one is expected.
     """
     number = number_in({field.name: value}, field.name)
+    if not abs(number) < MAX_NUMBER:
+        raise InvalidBody(f"{field.name}: less than {MAX_NUMBER:g}")
     if field.whole and number != int(number):
         raise InvalidBody(f"{field.name}: a whole number")
     return str(int(number)) if field.whole else repr(number)

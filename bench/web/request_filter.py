@@ -135,6 +135,11 @@ def http_protocol() -> type[asyncio.Protocol]:
             super().data_received(data)
             self._monitor_request()
 
+        def on_response_complete(self) -> None:
+            super().on_response_complete()  # which may begin a request that was sent ahead
+            if self.conn.their_state is h11.SEND_BODY:
+                self._monitor_request()
+
         def connection_lost(self, exc: Exception | None) -> None:
             self._stop_watch()
             super().connection_lost(exc)

@@ -288,7 +288,7 @@ def _fixed(
     """Add a joint that does not move."""
     joint = SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
     xyz = " ".join(repr(float(value)) for value in (np.zeros(3) if at is None else at))
-    rpy = [] if rotation is None else Rotation.from_matrix(rotation).as_euler("xyz").tolist()
+    rpy = [0.0] * 3 if rotation is None else Rotation.from_matrix(rotation).as_euler("xyz").tolist()
     SubElement(joint, "origin", xyz=xyz, rpy=" ".join(map(repr, rpy)))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)

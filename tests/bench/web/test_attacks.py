@@ -214,6 +214,12 @@ def test_request_filter_unfinished_request_is_cut_off(
                 assert one.recv(100) == b""
             except ConnectionResetError:
                 pass
+    with raw(page, f"GET / HTTP/1.1\r\nHost: {page.host}\r\n\r\n{body}".encode()) as one:
+        try:
+            while one.recv(65536):
+                pass
+        except ConnectionResetError:
+            pass
 
 
 def test_request_filter_oversized_chunked_body_is_refused(page: RunningPage) -> None:

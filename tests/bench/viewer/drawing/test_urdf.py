@@ -94,6 +94,13 @@ def test_urdf_links_match_bodies_of_dynamics(plant: PlantParameters, folder: Pat
         assert moments[0] + moments[1] >= moments[2] * (1 - 1e-12)
 
 
+def test_urdf_origins_have_three_numbers_each(folder: Path) -> None:
+    root = ElementTree.parse(folder / "golfbench.urdf").getroot()  # noqa: S314 - our own
+    for origin in root.iter("origin"):
+        for name in ("xyz", "rpy"):
+            assert len([float(number) for number in origin.get(name, "0 0 0").split()]) == 3, name
+
+
 def test_urdf_joint_limits_contain_working_range(plant: PlantParameters) -> None:
     limits = {hinge.name: (hinge.lower, hinge.upper) for hinge in joints(plant)}
     for name, actuator in (("shoulder", plant.shoulder), ("wrist", plant.wrist)):
