@@ -166,7 +166,7 @@ def check_open(is_open: bool, driver: str, call: str) -> None:
 
 def check_time(time: float, earliest: float, driver: str) -> None:
     """Raise DriverError if the `time` (s) of a reading is not finite, or before the `earliest`."""
-    if not earliest <= time < math.inf:
+    if not (math.isfinite(time) and time >= earliest):
         raise invalid_time(time, earliest, driver)
 
 

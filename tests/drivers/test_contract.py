@@ -362,6 +362,11 @@ def test_encoder_times_never_decrease_and_ages_match(opened: Driver, case: Case)
     assert any(all(r.encoder_valid) for r in readings)
 
 
+def test_read_first_time_of_minus_infinity_is_refused(opened: Driver) -> None:
+    with pytest.raises(DriverError):
+        opened.read(-math.inf)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0])
 def test_read_time_not_increasing_is_refused(opened: Driver, bad: float) -> None:
     opened.read(1.0)

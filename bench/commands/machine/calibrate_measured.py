@@ -205,10 +205,6 @@ def _day(text: str | None) -> datetime:
     return day
 
 
-SIMULATED_TIMEOUT = 2.0
-"""Timeout of simulated hands (s)."""
-
-
 def inputs(
     context: typer.Context,
     sim: Annotated[bool, flag("--sim", "Simulate robot and hands in lock-step; nothing is stored.")] = False,
