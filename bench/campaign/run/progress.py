@@ -20,7 +20,7 @@ from itertools import pairwise
 from pathlib import Path
 from queue import Empty, Full, Queue
 from statistics import median
-from threading import Event, Thread
+from threading import Event, RLock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bench.base.errors import BenchError
@@ -60,6 +60,8 @@ class CampaignProgress(Watcher):
     ) -> None:
         """`publish` gets the message after each shot of this run, event and change of state."""
         self._plan, self._entry, self._publish = plan, entry, publish
+        self._saying = RLock()
+        """Held while an event is published: the notifier speaks from its own thread."""
         trials = all_trials(plan)
         self._open: dict[tuple[int, int], PlannedShot] = {(t.block, t.position): t for t in trials}
         self._closed: dict[int, list[PlannedShot]] = {}
@@ -140,8 +142,12 @@ class CampaignProgress(Watcher):
 
     def say(self, text: str) -> None:
         """Keep the newest event."""
-        self.message["event"] = {"text": text, "time_utc": datetime.now(UTC).isoformat(timespec="seconds")}
-        self._publish(self.message)
+        with self._saying:
+            self.message["event"] = {
+                "text": text,
+                "time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+            }
+            self._publish(self.message)
 
     def standing(self, state: CampaignState, reason: str) -> None:
         """Keep the state; while it waits, `reason` is the prompt."""
