@@ -80,7 +80,7 @@ COMMANDS: Mapping[str, str] = {
     "schema": "bench.commands.bench.run:schema",
     "certificates": "bench.commands.bench.run:certificates",
     "cluster": "bench.commands.bench.run:cluster",
-    "doctor": "bench.commands.machine.doctor:doctor",
+    "doctor": "bench.commands.machine.doctor_bench:doctor",
     "demo": "bench.commands.campaign.campaign_run:demo",
     "check": "bench.commands.bench.run:check",
     "replay": "bench.commands.swing.records:replay",

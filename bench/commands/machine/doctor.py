@@ -1,4 +1,4 @@
-"""`golfbench doctor`: checks of this machine, with status, finding and advice for each item.
+"""Checks of this machine for `golfbench doctor`, with status, finding and advice for each item.
 
 Nothing here raises or changes the machine. Checks that may end or change a process
 (imports of binary packages, real-time scheduling, memory locks) run in a child process, see
@@ -24,13 +24,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import typer
 from packaging.requirements import Requirement
-from rich.console import Console, Group
+from rich.console import Group
 from rich.text import Text
 
-from bench.commands.common.command import Json, Session, exit_unless, show_json
-from bench.commands.common.output import plain_table, progress_bar
+from bench.commands.common.output import plain_table
 from bench.supervisor.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK
 
 SCHEMA_VERSION = 1
@@ -50,28 +48,6 @@ _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
 _MODULES = {"eclipse-zenoh": "zenoh", "python-can": "can", "rerun-sdk": "rerun"}
 """Import name of a distribution where it is not the same word with underscores."""
-
-
-def doctor(context: typer.Context, json_: Json = False) -> None:
-    """Check this machine: packages, real time, memory, CAN, tools.
-
-    With hardware in the configuration also its CAN link, clock, interrupt thread and core.
-    Exits with 1 if something is missing that the simulation needs.
-    """
-    from bench.commands.machine.doctor_bench import all_probes
-
-    planned = all_probes(context.ensure_object(Session).configuration())
-    findings = []
-    with progress_bar() as progress:
-        task = progress.add_task(f"examining {planned[0].group}", total=len(planned))
-        for finding, following in zip(examine(planned), (*planned[1:], planned[-1]), strict=True):
-            findings.append(finding)
-            progress.update(task, advance=1, description=f"examining {following.group}")
-    if json_:
-        show_json(report(findings))
-    else:
-        Console().print(table(findings))
-    exit_unless(usable(findings))
 
 
 class CheckStatus(StrEnum):

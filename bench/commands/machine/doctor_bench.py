@@ -1,4 +1,4 @@
-"""Checks of a machine that runs hardware: its CAN link, clock, interrupt threads and cores.
+"""`golfbench doctor`, and its checks of hardware: CAN link, clock, interrupt threads, cores.
 
 The kernel states its settings in files below /sys and /proc; bit timing and error counters come from `ip`.
 Like `bench.commands.machine.doctor`, nothing here raises or changes the machine.
@@ -11,11 +11,30 @@ import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from bench.commands.machine.doctor import ItemResult, Probe, limited, missing, ok, probes, small_text
-from bench.config import Configuration
-from drivers.canopen.settings import CanopenSettings
+import typer
+from rich.console import Console
+
+from bench.commands.common.command import Json, Session, exit_unless, show_json
+from bench.commands.common.output import progress_bar
+from bench.commands.machine.doctor import (
+    ItemResult,
+    Probe,
+    examine,
+    limited,
+    missing,
+    ok,
+    probes,
+    report,
+    small_text,
+    table,
+    usable,
+)
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+    from drivers.canopen.settings import CanopenSettings
 
 _LINK_TIME_LIMIT = 5.0
 """Time-out of `ip`, s."""
@@ -31,6 +50,26 @@ _RT_PRIORITY = 40 - 3
 """Place of the real-time priority in /proc/PID/stat behind the name, which is its second field."""
 
 Ask = Callable[[str], str]
+
+
+def doctor(context: typer.Context, json_: Json = False) -> None:
+    """Check this machine: packages, real time, memory, CAN, tools.
+
+    With hardware in the configuration also its CAN link, clock, interrupt thread and core.
+    Exits with 1 if something is missing that the simulation needs.
+    """
+    planned = all_probes(context.ensure_object(Session).configuration())
+    findings = []
+    with progress_bar() as progress:
+        task = progress.add_task(f"examining {planned[0].group}", total=len(planned))
+        for finding, following in zip(examine(planned), (*planned[1:], planned[-1]), strict=True):
+            findings.append(finding)
+            progress.update(task, advance=1, description=f"examining {following.group}")
+    if json_:
+        show_json(report(findings))
+    else:
+        Console().print(table(findings))
+    exit_unless(usable(findings))
 
 
 def all_probes(configuration: Configuration) -> tuple[Probe, ...]:
