@@ -18,7 +18,8 @@ import numpy as np
 from drivers.base import Launch
 from drivers.base.compiled import compiled, fields, new_record
 from drivers.base.ranges import Range, check_ranges
-from sim.aerodynamics import SPIN_DECAY, Aerodynamics, Air, coefficients
+from sim.aerodynamics import SPIN_DECAY, Aerodynamics, coefficients
+from sim.air import Air
 from sim.ball import Ball
 from sim.ground import Turf, bounce, roll
 from sim.vectors import Vector, added, norm, unit

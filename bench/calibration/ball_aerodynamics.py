@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from bench.base.from_toml import checked_values
 from drivers.base import Launch
 from drivers.base.ranges import Range
-from sim.aerodynamics import Air
+from sim.air import Air
 from sim.ball import Ball
 from sim.flight import Aerodynamics, Wind, fly, fly_many
 from sim.ground import Turf

@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from sim.aerodynamics import Air
+    from sim.air import Air
 
 
 class CampaignState(StrEnum):
@@ -206,7 +206,7 @@ class AirReading(NamedTuple):
     @property
     def air(self) -> Air:
         """The air that was read."""
-        from sim.aerodynamics import Air  # compiled code, which most commands of a campaign do without
+        from sim.air import Air  # most commands of a campaign do without the plant
 
         return Air(self.temperature, self.pressure, self.relative_humidity)
 

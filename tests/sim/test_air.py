@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.aerodynamics import Air
+from sim.air import Air
 
 
 def test_air_density_matches_published_values() -> None:

@@ -33,7 +33,7 @@ from bench.swing.library import find_profile
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
 from drivers.launch_monitor.record import LaunchRecord, Match, MatchOutcome, MatchWindow, SwingImpact, match
-from sim.aerodynamics import Air
+from sim.air import Air
 from sim.ball import Ball
 from sim.flight import fly
 from sim.impact import Delivery

@@ -301,7 +301,7 @@ def air(
     Shots on hardware use it from then on, for as long as the plan allows ([air] valid_for).
     """
     from bench.store.records import AirReading
-    from sim.aerodynamics import Air
+    from sim.air import Air
 
     address = context.ensure_object(Session).address()
     bench = address.bench.id

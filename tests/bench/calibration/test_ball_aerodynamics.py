@@ -25,7 +25,7 @@ from bench.calibration.ball_aerodynamics import (
 from bench.calibration.flight_table import read_flights
 from bench.config import database_url
 from bench.store.database import open_database
-from sim.aerodynamics import Air
+from sim.air import Air
 from sim.ball import Ball
 from sim.flight import Launch, Wind, fly
 from sim.ground import Turf

@@ -169,11 +169,12 @@ def test_campaign_command_loads_no_model_packages(command: str, tmp_path: Path) 
     assert not loaded & (NO_CLIENTS - {"pydantic", "sqlalchemy"})
 
 
-def test_profile_list_loads_no_compiler(tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", [["profile", "list"], ["campaign", "air"]])
+def test_simulation_free_command_loads_no_compiler(command: list[str], tmp_path: Path) -> None:
     code = (
         "import sys; import bench.commands.cli\n"
         "bench.commands.cli.leave = lambda code: print(*sys.modules)\n"
-        "bench.commands.cli.main(['profile', 'list'])"
+        f"bench.commands.cli.main({command})"
     )
     printed = subprocess.check_output([sys.executable, "-c", code], text=True, cwd=tmp_path)
     loaded = {name.partition(".")[0] for name in printed.splitlines()[-1].split()}

@@ -19,7 +19,7 @@ from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.config import Configuration
 from bench.records.shot.shot import Shot, ShotStatus
-from sim.aerodynamics import Air
+from sim.air import Air
 from sim.ball import Ball
 from sim.flight import Launch, fly
 

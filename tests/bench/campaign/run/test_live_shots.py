@@ -52,7 +52,7 @@ from bench.store.records import CampaignState
 from bench.supervisor.status import NO_LAUNCH_MONITOR
 from drivers.base import Launch
 from drivers.launch_monitor.record import LaunchRecord, MatchOutcome
-from sim.aerodynamics import Air
+from sim.air import Air
 from sim.ball import Ball
 from tests.bench.campaign.as_designed import AsDesigned
 from tests.bench.campaign.test_notifications import webhook
