@@ -14,7 +14,8 @@ import { startUnits } from "./units.js";
 
 startTheme(by("theme"));
 startUnits(by("units"), keep);
-on("you", (you) => { showYou(you); loadArchive(); loadPlans(); loadValues(); });
+let signed = 0;
+on("you", (you) => { signed += 1; showYou(you); loadArchive(); loadPlans(); loadValues(); });
 on("state", (view) => { setSeen(view.seen); setPlansBench(view); showState(view); showLease(view); showAccess(view); });
 on("events", showEvents);
 on("swing", (view) => { showSwing(view); if (view.stored) loadArchive(); });
@@ -28,6 +29,11 @@ startPlans();
 startViewer();
 startCommissioning();
 startOperate(startStream(["link", "you", "state", "events", "swing", "campaigns", "runner", "viewer", "commissioning", "commissioner"]));
-const askRole = () => fetch("/api/you").then((response) => response.json()).then(showYou).catch(() => {});
+// An answer from before a sign-in may arrive after it: the stream's word is newer.
+async function askRole() {
+  const before = signed;
+  const you = await fetch("/api/you").then((response) => response.json()).catch(() => null);
+  if (you !== null && before === signed) showYou(you);
+}
 on("refused", askRole); // a page that was started again has forgotten its sessions
 askRole();

@@ -16,9 +16,11 @@ from bench.base.lifecycle import Request, State
 from bench.config import Configuration
 from bench.network.lease import MIN_SECONDS
 from bench.web import page_service
+from bench.web.page_access import PageAddress
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.web.browser_tab import Tab, listens, open_tab, until_accepted
 from tests.bench.web.conftest import publishing
+from tests.bench.web.day_at_page import VIEWER, sign_in
 from tests.bench.web.running_page import RunningPage, running_page
 from tests.running_bench import command_beside, running_bench, write_configuration
 
@@ -127,6 +129,34 @@ def test_page_silent_bench_is_shown_as_stale(
         tab.text("#do-reset").to_be_disabled()
         tab.text("#stop").to_be_enabled()
         assert took < 10.0, f"{took:.1f} s"  # 2 s by its own clock; a busy browser paints late
+
+
+def test_page_late_answer_from_before_sign_in_is_ignored(
+    browser: Any, service: FakeDesk, tmp_path: Path
+) -> None:
+    tokens = tmp_path / "tokens"
+    tokens.write_text(f"viewer {VIEWER}\n")
+    tokens.chmod(0o600)
+    late: list[tuple[Any, Any]] = []
+    with ExitStack() as stack:
+        running = stack.enter_context(running_plane(service, loopback_configuration()))
+        stack.enter_context(publishing(running))
+        address = PageAddress(port=free_port(), tokens=tokens)
+        page = stack.enter_context(running_page(running.configuration, address))
+        tab = stack.enter_context(open_tab(browser, page.url))
+        tab.text("#sign-in").to_be_visible()
+
+        def hold(route: Any) -> None:  # the page asks every 2 s
+            late.append((route, route.fetch()))
+
+        tab.page.route("**/api/you", hold, times=1)
+        while not late:
+            tab.page.wait_for_timeout(50.0)
+        sign_in(tab, VIEWER)
+        for route, answer in late:
+            route.fulfill(response=answer)
+        tab.page.wait_for_timeout(500.0)
+        tab.text("#sign-in").to_be_hidden()
 
 
 def test_page_lost_lease_is_shown_and_not_retaken(
