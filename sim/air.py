@@ -2,7 +2,6 @@
 
 Density: CIPM-2007 (Picard et al., Metrologia 45 (2008) 149) with 400 ppm CO2; stated range 600-1100 hPa
 and 15-27 degrees C, smooth and within 0.1 % well beyond it. Viscosity: Sutherland's law for dry air.
-Pressure over altitude: International Standard Atmosphere (ISO 2533).
 """
 
 from __future__ import annotations

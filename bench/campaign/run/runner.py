@@ -388,6 +388,9 @@ class Runner:
                 prompt = self._opened(wish, number)
                 self._wait_for_answer(prompt, wish.kind)
             self._fitting = self._fitting.with_done(prompt)
+        if before := self._withdrawn():
+            self._source.resume_after_access(PromptKind(before.kind), self._ask_also)
+            self._stand(CampaignState.RUNNING, "")
 
     def _prompt(self, wish: Preparation, number: int, now: datetime) -> Prompt:
         self._asked_so_far += 1
@@ -395,14 +398,21 @@ class Runner:
 
     def _opened(self, wish: Preparation, number: int) -> Prompt:
         """Return the open prompt if it asks for `wish`, else a new one."""
-        before, self._open = self._open, None
+        before = self._open
         if before and (before.kind, before.content) == (wish.kind, wish.content):
+            self._open = None
             return before
-        if before:
-            self._store.answer(self._entry.id, before.number, "no one: no longer needed", datetime.now(UTC))
+        self._withdrawn()
         prompt = self._prompt(wish, number, datetime.now(UTC))
         self._store.ask(self._entry.id, prompt)
         return prompt
+
+    def _withdrawn(self) -> Prompt | None:
+        """Close and return the open prompt, which is no longer needed; None without one."""
+        before, self._open = self._open, None
+        if before:
+            self._store.answer(self._entry.id, before.number, "no one: no longer needed", datetime.now(UTC))
+        return before
 
     def _wait_for_answer(self, prompt: Prompt, kind: PromptKind) -> None:
         campaign, operator = self._entry.id, self._operator

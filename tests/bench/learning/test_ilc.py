@@ -155,10 +155,12 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
 
 
 def test_learner_mean_off_target_takes_further_step() -> None:
+    """The prediction is within half the tolerances by swings nearby, the mean of the best point's two is not."""
     robot = Robot(4, offset=0.0, scatter=0.0)
-    zero = np.zeros(WEIGHTS)
     learner = Learner(robot.model, TARGET, robot.plan)
-    for _ in range(4):
-        learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.plan))
+    zero = np.zeros(WEIGHTS)
+    nearby = [np.full(WEIGHTS, 1e-5 * k) for k in range(1, 5)]
+    for point, error in zip((zero, zero, *nearby), (0.1, 1.1, 0.3, 0.3, 0.3, 0.3), strict=True):
+        learner.note(LearnerTrial(point, TARGET.array + error * robot.scale, robot.plan))
     assert not learner.confirmed
-    assert not np.array_equal(learner.point, zero)
+    assert np.linalg.norm(learner.point) > 0.01

@@ -265,6 +265,24 @@ def test_runner_bench_restart_prompts_operator(make: Callable[..., Series]) -> N
     assert rig.doors[:2] == ["bench open", "bench shut"]
 
 
+def test_runner_prompt_met_before_resume_is_closed(make: Callable[..., Series]) -> None:
+    def seen(_: int) -> dict[str, Any]:
+        states.append(series.state)
+        return {}
+
+    states: list[CampaignState] = []
+    series, person = make(), Person(times=0, kinds=frozenset({PromptKind.BENCH}))
+    rig = Rig(seen)
+    rig.lacking = Preparation(PromptKind.BENCH, "Restart the bench.", {"profile": "slow"})
+    with beside(lambda: (person.seen.wait(30.0), series.store.change(series.entry.id, requested="stop"))):
+        assert series.run(rig, person).state is CampaignState.STOPPED
+    rig.lacking = None  # restarted meanwhile
+    assert series.run(rig).state is CampaignState.FINISHED
+    assert set(states) == {CampaignState.RUNNING}
+    assert rig.doors[:2] == ["bench open", "bench shut"]
+    assert series.prompts[0].by == "no one: no longer needed"
+
+
 def ten_shots(magazine: int) -> CampaignPlan:
     """Return the plan of two balls with five blocks, balls filled in by hand."""
     plan = load_plan(Path("two-balls"), CONFIGURATION)
