@@ -155,7 +155,7 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
 
 
 def test_learner_mean_off_target_takes_further_step() -> None:
-    """The prediction is within half the tolerances by swings nearby, the mean of the best point's two is not."""
+    """The prediction is within half the tolerances by swings nearby, the mean at the point is not."""
     robot = Robot(4, offset=0.0, scatter=0.0)
     learner = Learner(robot.model, TARGET, robot.plan)
     zero = np.zeros(WEIGHTS)
