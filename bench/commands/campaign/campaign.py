@@ -127,7 +127,7 @@ def report(
         path = output or data_dir / "campaigns" / entry.id / "report.html"
         page = render_campaign_report(record, found, UnitSystem(units)).encode()
         # Each issue keeps its page. It is stored once its pages are written, and before they are renamed.
-        issued = path.with_name(f"{path.stem}{record.number.removeprefix(entry.id)}{path.suffix}")
+        issued = path.parent / f"{path.stem}{record.number.removeprefix(entry.id)}{path.suffix}"
         with ExitStack() as pages:
             for file in (path, issued) if issue else (path,):
                 stream = pages.enter_context(atomic_file(file))

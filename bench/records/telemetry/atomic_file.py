@@ -24,17 +24,21 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
     The file is written aside in the same folder (`.NAME.….partial`), synced to the disk, renamed, and
     the folder is synced: after a power cut `path` holds the old content or the new, never a part.
-    Raises NotStored when the disk is full, the folder missing or read-only; whatever the exception,
-    the partial file is removed.
+    A link is followed. Raises NotStored when the disk is full, the folder missing or read-only, or `path` a
+    folder, device or pipe; whatever the exception, the partial file is removed.
     """
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    target = Path(os.path.realpath(path))
+    partial = target.parent / f".{target.name}.{secrets.token_hex(4)}.partial"
     try:
+        if target.exists() and not target.is_file():
+            action = "Name another file; nothing was stored."
+            raise NotStored(str(path), "a folder, device or pipe", "a file or a free name", action)
         try:
             with partial.open("xb") as stream:  # the folder is writable, and the file ours
                 yield partial
                 os.fsync(stream.fileno())
-            partial.replace(path)
-            _sync_folder(path.parent)
+            partial.replace(target)
+            _sync_folder(target.parent)
         finally:
             with suppress(OSError):
                 partial.unlink(missing_ok=True)

@@ -112,6 +112,7 @@ def test_campaign_commands_simulated_run_to_issued_and_verified_report(call: Cal
     assert verified.exit_code == ExitCode.OK, verified.output
     assert "\nverified: " in verified.stdout
     assert isinstance(call("report", campaign, "--issue", "--output", "/no/r.html").exception, NotStored)
+    assert isinstance(call("report", campaign, "--output", ".").exception, NotStored)
     assert isinstance(call("report", campaign, "--issue", "--json").exception, BenchError)
     assert f"{campaign}-draft" in Path(call("report", campaign).stdout.strip()).read_text(), "not issued"
     assert call("report", campaign, "--issue", "--by", "Ann", "--units", "us").exit_code == ExitCode.OK

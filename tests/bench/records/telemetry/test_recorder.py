@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bench.base.errors import BenchError
-from bench.records.telemetry.atomic_file import atomic_file
+from bench.records.telemetry.atomic_file import NotStored, atomic_file
 from bench.records.telemetry.cycle_record import CYCLE, SCHEMA_VERSION
 from bench.records.telemetry.recorder import METADATA_KEY, read_swing, record_files, write_swing
 
@@ -105,6 +105,26 @@ def test_atomic_file_interrupt_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert os.listdir(tmp_path) == []
+
+
+def test_atomic_file_folder_or_pipe_is_refused_and_stays(tmp_path: Path) -> None:
+    os.mkfifo(pipe := tmp_path / "pipe")
+    for place in (pipe, tmp_path, Path(".."), Path("/"), Path(os.devnull)):
+        with pytest.raises(NotStored, match="found a folder, device or pipe"), atomic_file(place):
+            pass
+    assert pipe.is_fifo()
+    assert os.listdir(tmp_path) == ["pipe"]
+
+
+def test_atomic_file_link_keeps_link_and_replaces_target(tmp_path: Path) -> None:
+    (folder := tmp_path / "shared").mkdir()
+    (folder / "page.html").write_text("old")
+    (link := tmp_path / "report.html").symlink_to(folder / "page.html")
+    with atomic_file(link) as stream:
+        stream.write(b"new")
+    assert link.is_symlink()
+    assert (folder / "page.html").read_text() == "new"
+    assert os.listdir(folder) == ["page.html"]
 
 
 def test_write_swing_invalid_metadata_or_cycles_raise_error(tmp_path: Path) -> None:
