@@ -157,6 +157,25 @@ class CampaignStore:
         """Add an event at once."""
         self._execute(insert(EVENTS).values(campaign=campaign, **event._asdict()))
 
+    def note_issue(self, campaign: str, issue: Event, number: int) -> None:
+        """Add the issue of a report as the one with `number`.
+
+        Raises:
+            Refused: another one has that number.
+        """
+        c = EVENTS.c
+        issues = select(func.count()).where((c.campaign == campaign) & (c.kind == issue.kind))
+
+        def work(connection: Connection) -> None:
+            connection.execute(select(CAMPAIGNS.c.id).where(CAMPAIGNS.c.id == campaign).with_for_update())
+            if connection.scalar(issues) != number - 1:
+                action = "See that report. Amend it with golfbench campaign report --issue --reason TEXT."
+                found, expected = f"report R{number} issued meanwhile", "one issue at a time"
+                raise Refused(f"campaign {campaign}", found, expected, action)
+            connection.execute(insert(EVENTS).values(campaign=campaign, **issue._asdict()))
+
+        self._write(work)
+
     def begin_run(
         self, campaign: str, by: str, began: datetime, versions: Mapping[str, Any], facts: Mapping[str, Any]
     ) -> None:

@@ -134,7 +134,7 @@ def report(
                 stream.write(page)
                 stream.flush()
             if issue:
-                store.note_event(entry.id, record.issues[-1])
+                store.note_issue(entry.id, record.issues[-1], len(record.issues))
     typer.echo(str(path))
     if issue:
         typer.echo(f"issued as {record.number}: {issued}")

@@ -327,6 +327,17 @@ def test_campaign_store_conflicting_batch_is_rolled_back(tmp_path: Path) -> None
         assert store.hits(ENTRY.id)[Hit("club", "driver")] == 3
 
 
+def test_campaign_store_second_issue_of_one_number_is_refused(tmp_path: Path) -> None:
+    with _store(database_url("", tmp_path)) as store:
+        store.begin(ENTRY)
+        issue = Event(NOW, 1, "issue", "issued by Ann")
+        store.note_issue(ENTRY.id, issue, 1)
+        with pytest.raises(Refused, match="issued meanwhile"):
+            store.note_issue(ENTRY.id, issue, 1)
+        store.note_issue(ENTRY.id, issue, 2)
+        assert store.events(ENTRY.id) == [issue, issue]
+
+
 def test_campaign_store_duplicate_or_unknown_id_is_refused(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
