@@ -164,6 +164,7 @@ def run(
     143 after SIGTERM.
     """
     from bench.calibration.archive import newest_aerodynamics
+    from bench.campaign.run.campaign_control import runner_lock
     from bench.campaign.run.runner_control import bench_calibrations, new_entry
 
     plan, configuration, profiles = _checked(context, file)
@@ -190,7 +191,8 @@ def run(
             calibrated=None if sim and not calibrations["in_force"] else calibrations,
             profiles=profiles,
         )
-        store.begin(entry)
+        with runner_lock(configuration.bench.data_dir, entry.id):  # without its file, a run is one elsewhere
+            store.begin(entry)
         _run(store, entry, configuration, outputs, facts, ask=ask, by=by)
 
 

@@ -28,6 +28,7 @@ from bench.campaign.run.campaign_control import bench_lock, find_campaign, runne
 from bench.campaign.run.runner_control import new_entry, run_campaign
 from bench.campaign.run.shot_source import Watcher
 from bench.campaign.run.simulated_shots import BEGIN
+from bench.commands.campaign import campaign_run
 from bench.commands.cli import app, main
 from bench.config import database_url, load_configuration
 from bench.records.telemetry.atomic_file import NotStored
@@ -158,6 +159,19 @@ def test_campaign_commands_simulated_run_to_issued_and_verified_report(call: Cal
         database.execute("UPDATE campaigns SET state = 'running' WHERE id = ?", (second,))
     page = Path(call("report", second).stdout.strip()).read_text()
     assert "This campaign is not finished: interrupted" in page
+
+
+def test_campaign_run_cut_off_before_first_shot_is_listed_as_interrupted(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cut_off(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(campaign_run, "_run", cut_off)
+    call("run", tmp_path / "short.toml", "--sim")
+    (listed,) = json.loads(call("list", "--json").stdout)
+    assert listed["state"] == "interrupted"
+    assert "campaign resume" in listed["reason"]
 
 
 def test_campaign_run_wrong_baseline_or_digest_starts_no_campaign(call: Call, tmp_path: Path) -> None:
