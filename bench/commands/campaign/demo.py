@@ -7,6 +7,7 @@ campaign does. Everything that is started here ends here, also after Ctrl-C.
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -20,7 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.address import free_port
-from bench.base.errors import BenchError, Refused
+from bench.base.errors import Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
@@ -40,6 +41,7 @@ from bench.config import Configuration, database_url
 from bench.network.client import BenchClient
 from bench.records.shot.recorded_shot import read_shot
 from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
+from bench.records.telemetry.atomic_file import NotStored
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignEntry, CampaignState
@@ -80,15 +82,17 @@ def new_folder(output: Path | None, configuration: Configuration, begin: datetim
 
     Raises:
         Refused: there are files in it.
-        BenchError: it cannot be made.
+        NotStored: it cannot be made, or another demo has it.
     """
     folder = output or configuration.bench.data_dir / f"demo-{begin:%Y%m%dT%H%M%SZ}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         used = any(folder.iterdir())
+        if not used:
+            (folder / "bench").mkdir()  # fails for the second of two demos
     except OSError as error:
         action = "Name another one with --output."
-        raise BenchError(str(folder), error.strerror or str(error), "a folder to write to", action) from error
+        raise NotStored(str(folder), error.strerror or str(error), "a folder to write to", action) from error
     if used:
         raise Refused(str(folder), "files in it", "a new or empty folder", "Name another one with --output.")
     return folder
@@ -128,7 +132,7 @@ def write_result(
     console, left = Console(highlight=False), len(design.balls) * design.blocks - len(record.shots)
     console.print(_table(title, record.shots))
     if ending:
-        console.print(f"{ending}, {left} swings not started.", style="bold red")
+        console.print(f"{ending}, {left} swings not started.", style="bold red", markup=False, emoji=False)
     elif left > 0:
         console.print(
             f"{left} swings not started: after a stop nothing arms automatically.", style="bold red"
@@ -141,7 +145,7 @@ def write_result(
     swings = c.bench.data_dir / "campaigns" / entry.id / "swings"
     for path in (report, recording, shots, swings):
         if path.exists():
-            console.print(_way_to_open(path), soft_wrap=True)
+            console.print(_way_to_open(path), soft_wrap=True, markup=False, emoji=False)
 
 
 _FIGURES = (
@@ -184,7 +188,7 @@ def _way_to_open(path: Path) -> str:
         case ".rrd":
             rerun = Path(sys.executable).with_name("rerun")
             shown = os.path.relpath(rerun) if rerun.is_relative_to(Path.cwd()) else rerun
-            return f"recording  {path}\n           opens with: {shown} {path}"
+            return f"recording  {path}\n           opens with: {shown} {shlex.quote(str(path))}"
         case ".csv":
             return f"shots      {path}"
         case _:

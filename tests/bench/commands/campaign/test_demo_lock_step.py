@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numba
@@ -14,12 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
-from bench.base.errors import BenchError, ExitCode
-from bench.commands.campaign.demo import run_demo
+from bench.base.errors import ExitCode
+from bench.commands.campaign.demo import new_folder, run_demo
 from bench.commands.cli import main
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.recorder import read_swing
 from bench.swing.library import find_profile
 from tests.bench.records.shot.read_shots import read_shot_table
@@ -98,15 +100,16 @@ def test_demo_same_seed_repeats_shots_and_other_seed_differs(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     configuration = load_configuration()
-    assert run_demo(configuration, tmp_path / "again", 2, 1, live=False)
-    again = read_shot_table(tmp_path / "again" / "shots.csv")
+    again_in = tmp_path / "again [red]:car:"
+    assert run_demo(configuration, again_in, 2, 1, live=False)
+    again = read_shot_table(again_in / "shots.csv")
     assert _figures(again) == _figures(read_shot_table(folder / "shots.csv"))
     text = " ".join(capsys.readouterr().out.split())
     assert "2 simulated swings: driver" in text
     assert "Everything is simulated" in text
     assert "drawn from seed 1: supply pressure" in text
     for name in ("report.html", "demo.rrd", "shots.csv"):
-        assert name in text
+        assert str(again_in / name) in text
     assert run_demo(configuration, tmp_path / "other", 2, 2, live=False)
     assert _figures(read_shot_table(tmp_path / "other" / "shots.csv")) != _figures(again)
 
@@ -161,8 +164,15 @@ def test_demo_output_folder_in_use_is_refused_unchanged(
 
 def test_demo_output_folder_not_creatable_raises(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(BenchError, match=r"--output"):
+    with pytest.raises(NotStored, match=r"--output"):
         run_demo(load_configuration(), tmp_path / "file" / "below", 1, 1, live=False)
+
+
+def test_demo_output_folder_of_other_demo_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "bench").mkdir()
+    monkeypatch.setattr(Path, "iterdir", lambda _: iter(()))  # as the other demo found the folder
+    with pytest.raises(NotStored, match="File exists"):
+        new_folder(tmp_path, load_configuration(), datetime.now(UTC))
 
 
 @pytest.mark.live
