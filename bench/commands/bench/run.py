@@ -95,20 +95,19 @@ def check(
     if defaults:
         typer.echo(configuration_text(load_configuration(shipped_configuration())), nl=False)
         return
-    console, now = Console(), datetime.now(UTC)
+    console, now = Console(markup=False, emoji=False, highlight=False), datetime.now(UTC)
     configuration = context.ensure_object(Session).configuration()
-    console.print(_summary(configuration), highlight=False)
+    console.print(_summary(configuration))
     found = assess_bench(configuration, now, profile, running=True)
     calibration = found.calibration
-    console.print(f"calibration of bench {calibration.bench}: {calibration.summary()}", highlight=False)
+    console.print(f"calibration of bench {calibration.bench}: {calibration.summary()}")
     console.print(
-        f"swing {found.file}: readable, {len(found.profile.angle)} samples, all finite and in range",
-        highlight=False,
+        f"swing {found.file}: readable, {len(found.profile.angle)} samples, all finite and in range"
     )
     if found.limits:
-        console.print(f"limits of the model-based check: {found.limits}", highlight=False, soft_wrap=True)
+        console.print(f"limits of the model-based check: {found.limits}", soft_wrap=True)
     for warning in found.warnings:
-        console.print(f"warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
+        console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
     console.print(_check_table(found.checks))
     if blocks := [*found.faults, *calibration.problems(now)]:
         reasons = f"{len(blocks)} reason{'s' * (len(blocks) > 1)}"

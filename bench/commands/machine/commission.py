@@ -347,7 +347,7 @@ def _show(state: Commissioning) -> None:
     console.print(table)
     for step in state.done:
         for note in step.notes:
-            console.print(f"{step.name}: {note}", highlight=False)
+            console.print(f"{step.name}: {note}", highlight=False, markup=False)
     robot, learned = state.folder / "robot.toml", state.folder / "learned.toml"
     console.print(
         f"Written: {robot}, swing.toml, learned.toml and report.html.\n"

@@ -113,7 +113,7 @@ def run(
         console.print(matrix_table(summary))
         if unsafe:
             console.print(reasons_table(summary))
-        console.print(f"{folder / 'matrix.html'}", highlight=False)
+        typer.echo(str(folder / "matrix.html"))
     exit_unless(not unsafe)
 
 

@@ -152,6 +152,7 @@ def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
         f"{len(points)} candidates, {len(front)} on the front; the plans took {run.seconds / 60:.1f} min. "
         f"Picture, figures and a configuration for each point of the front: {folder}",
         highlight=False,
+        markup=False,
     )
     failed = [point for point in points if point.plan.failure]
     for point in failed:

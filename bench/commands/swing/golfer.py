@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from bench.base.errors import BenchError
@@ -304,5 +305,5 @@ def comparison_table(rows: Sequence[MotionDeviation]) -> Table:
         pair = (row.reference, row.other)
         speeds = " ".join("-" if isnan(one.head_speed) else f"{one.head_speed:.1f}" for one in pair)
         lasting = " ".join(f"{one.downswing:.3f}" for one in pair)
-        table.add_row(*(f"{one.name}, {one.source}" for one in pair), *cells, speeds, lasting)
+        table.add_row(*(escape(f"{one.name}, {one.source}") for one in pair), *cells, speeds, lasting)
     return table

@@ -87,7 +87,7 @@ def show(
     console.print(details(swing, path, plant), highlight=False)
     if plot is not None:
         draw(swing, plant, plot)
-        console.print(f"Picture: {plot}", highlight=False)
+        typer.echo(f"Picture: {plot}")
 
 
 @app.command()
@@ -227,7 +227,7 @@ def limits(
         made = make_limits(bench, draws, part, engine)
     file.parent.mkdir(parents=True, exist_ok=True)
     save_limits(file, made)
-    Console().print(f"{file}: limits from {draws} known robots", highlight=False)
+    typer.echo(f"{file}: limits from {draws} known robots")
 
 
 @app.command()

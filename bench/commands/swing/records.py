@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
@@ -245,9 +246,9 @@ def _show_keys(places: tuple[str, str], first: dict[str, str], second: dict[str,
         return show_json({"first": places[0], "second": places[1], "differences": rows})
     if not rows:
         return typer.echo("The configurations are equal in all keys.")
-    table = plain_table("key", *places)
+    table = plain_table("key", *map(escape, places))
     for row in rows:
-        table.add_row(row["key"], row["first"] or "", row["second"] or "")
+        table.add_row(*(Text(row[part] or "") for part in ("key", "first", "second")))
     console_of(_WIDTH).print(table, highlight=False)
 
 

@@ -80,7 +80,7 @@ def simulate_thesis(output_folder: Path | str, as_json: bool = False) -> None:
     console.print(grid)
     for line in assumptions(experiment):
         console.print(Padding(Text(f"· {line}"), (0, 0, 0, 1)))
-    console.print(f"\nPicture: {pictures[0]} and .svg · figures: {folder / 'thesis.json'}", highlight=False)
+    print(f"\nPicture: {pictures[0]} and .svg · figures: {folder / 'thesis.json'}")
 
 
 def statements(experiment: ThesisExperiment, others: Others) -> list[Statement]:

@@ -22,3 +22,16 @@ def test_check_reports_disabled_model_based_check(
     assert ended.value.code in (0, None), said
     assert ("warning: the model-based check is off" in said) is off
     assert ("limits of the model-based check" in said) is not off
+
+
+def test_check_path_with_brackets_is_printed_literally(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "b[old].toml").write_text('base = "shipped"\n[bench]\ndata_dir = "d[new]:car:"\n')
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", "b[old].toml", "check"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert ended.value.code in (0, None), said
+    assert "configuration b[old].toml over" in said
+    assert "records in d[new]:car:" in said
