@@ -201,7 +201,10 @@ def _writing(path: Path, records: Sequence[ShotRecord], name: str) -> Iterator[r
     with atomic_path(path) as partial:
         layout = layout_for(records)
         recording = rr.RecordingStream(layout.application)
-        recording.save(partial, default_blueprint=layout.blueprint, write_footer=True)
+        try:
+            recording.save(partial, default_blueprint=layout.blueprint, write_footer=True)
+        except RuntimeError as error:  # it writes the layout at once
+            raise _incomplete(path, error) from error
         if name:
             recording.send_recording_name(name)
         try:
@@ -241,12 +244,16 @@ def _check_whole(written: Path, path: Path) -> None:
         try:
             RrdReader(written).stream()
         except (OSError, RuntimeError, ValueError, Warning) as error:
-            raise NotStored(
-                str(path),
-                f"an incomplete file ({error})",
-                "space left on the disk",
-                "free some space or name another folder; nothing was stored",
-            ) from error
+            raise _incomplete(path, error) from error
+
+
+def _incomplete(path: Path, error: Exception) -> NotStored:
+    return NotStored(
+        str(path),
+        f"an incomplete file ({error})",
+        "space left on the disk",
+        "free some space or name another folder; nothing was stored",
+    )
 
 
 def _log_shot(

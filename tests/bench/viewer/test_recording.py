@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 
 from bench.base.lifecycle import Phase
 from bench.records.shot.shot import ShotRecord
@@ -208,6 +209,18 @@ def test_write_recording_write_failure_leaves_no_file(
             write_recording(tmp_path / "x.rrd", make_records(2), plant)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert os.listdir(tmp_path) == []
+
+
+def test_write_recording_full_disk_leaves_no_file(
+    tmp_path: Path, make_records: Records, plant: PlantParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise RuntimeError("Failed to write: No space left on device (os error 28)")
+
+    monkeypatch.setattr(rr.RecordingStream, "save", full)
+    with pytest.raises(NotStored, match="No space left"):
+        write_recording(tmp_path / "x.rrd", make_records(1), plant)
     assert os.listdir(tmp_path) == []
 
 
