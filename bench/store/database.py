@@ -362,7 +362,10 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
             raise BenchError(location, found, expected, action) from error
         expected = "a database of golfbench that can be read and written"
         action = "Check that this user may write to it and its folder, and that the disk has room."
-        raise BenchError(location, str(error.orig).strip(), expected, action) from error
+        fault = BenchError(location, str(error.orig).strip(), expected, action)
+        if isinstance(error, OperationalError):  # a damaged file is another error
+            fault.exit_code = ExitCode.FILE
+        raise fault from error
     finally:
         engine.dispose()
 

@@ -170,11 +170,12 @@ def test_read_only_database_read_writes_no_file(archive: Path) -> None:
 
 def test_read_only_database_write_is_refused(archive: Path) -> None:
     with (
-        pytest.raises(BenchError, match="attempt to write a readonly database"),
+        pytest.raises(BenchError, match="attempt to write a readonly database") as refused,
         open_database(database_url("", archive), NOW) as database,
         transaction(database, writes=True) as connection,
     ):
         connection.execute(insert(CALIBRATIONS).values(ROW | {"version": 2}))
+    assert refused.value.exit_code == ExitCode.FILE
 
 
 def test_read_only_database_reads_changes_from_wal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
