@@ -23,6 +23,7 @@ from bench.base.lifecycle import Phase
 from bench.base.to_toml import toml_value
 from bench.config import Configuration
 from bench.control.measured_plant import value_at
+from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.swing_metadata import read_profile
 from bench.simulation.plant_variation import Variation
@@ -269,7 +270,7 @@ def write_plant_file(
 ) -> None:
     """Write TOML with the identified parameters of `plant` to `path`, based on the file of `configuration`.
 
-    Comments have each parameter's standard error; uncertain ones are marked. OSError if it cannot be written.
+    Comments have each parameter's standard error; uncertain ones are marked. Raises NotStored.
     """
     lines = ["# Identified from recorded swings: value, standard error."]
     for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):
@@ -281,4 +282,5 @@ def write_plant_file(
     club = plant.robot.club
     lines.append(f"clubs.{club.name}.head_mass = {toml_value(club.head_mass)}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with atomic_file(path) as stream:
+        stream.write("\n".join([*lines, ""]).encode())

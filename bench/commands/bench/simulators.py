@@ -112,10 +112,11 @@ def nodes(
         show_scan(configuration)
         return
     if dbc is not None:
+        from bench.commands.common.output import write_text
         from drivers.canopen.dbc import describe
 
         c = configuration
-        dbc.write_text(describe(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), encoding="ascii")
+        write_text(describe(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), dbc)
         typer.echo(f"{dbc}: the frames of channel {c.canopen.channel}")
         return
     if folder is not None:

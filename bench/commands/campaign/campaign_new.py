@@ -152,10 +152,11 @@ def _write(
     from bench.campaign.plan.plan_file import load_plan
     from bench.campaign.report.preview import outlook
     from bench.campaign.run.plan_requirements import swings_of_other_clubs
+    from bench.commands.common.output import write_text
     from bench.swing.library import profiles_for
 
     def written() -> CampaignPlan:
-        file.write_text(_plan_text(sections), encoding="utf-8")
+        write_text(_plan_text(sections), file)
         return load_plan(file, configuration)
 
     if blocks is not None:

@@ -30,11 +30,13 @@ def console_of(piped_width: int) -> Console:
 
 
 def write_text(text: str, output: Path | None) -> None:
-    """Write `text` to the file `output`, or to standard output without one."""
+    """Write `text` whole to the file `output`, or to standard output without one."""
+    from bench.records.telemetry.atomic_file import atomic_file
+
     if output is None:
-        typer.echo(text, nl=False)
-    else:
-        output.write_text(text, encoding="utf-8")
+        return typer.echo(text, nl=False)
+    with atomic_file(output) as stream:
+        stream.write(text.encode())
 
 
 def finite(value: Any) -> Any:

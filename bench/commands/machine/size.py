@@ -16,7 +16,7 @@ from rich.table import Table
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.common.command import ClubName, ClusterAddress, Processes, Session, option, sweep_engine
-from bench.commands.common.output import console_of, plain_table, progress_of_steps
+from bench.commands.common.output import console_of, plain_table, progress_of_steps, write_text
 
 if TYPE_CHECKING:
     from bench.design.sizing.hardware import Hardware
@@ -143,8 +143,8 @@ def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
     shipped = load_configuration(Path("shipped"))
     for point in front:
         file = folder / f"{point.hardware.name}.toml"
-        file.write_text(candidate_text(run.catalogue, point.hardware, shipped, run.demand), encoding="utf-8")
-    (folder / "points.json").write_text(json.dumps([asdict(point) for point in points], indent=2) + "\n")
+        write_text(candidate_text(run.catalogue, point.hardware, shipped, run.demand), file)
+    write_text(json.dumps([asdict(point) for point in points], indent=2) + "\n", folder / "points.json")
     draw_front(points, run.demand.speed, folder / "front.png")
     console = console_of(_PIPED_WIDTH)
     console.print(front_table(points, front))

@@ -212,6 +212,7 @@ def limits(
     """
     from bench.control.residual_thresholds import save_limits
     from bench.design.threshold_generation import make_limits
+    from bench.records.telemetry.atomic_file import atomic_path
     from bench.simulation.series import Bench
     from bench.supervisor.readiness import assess_bench
     from bench.swing.library import PROFILES
@@ -226,7 +227,8 @@ def limits(
     with sweep_engine(c, processes, cluster, draws) as engine, progress_of(f"swinging {swing.name}") as part:
         made = make_limits(bench, draws, part, engine)
     file.parent.mkdir(parents=True, exist_ok=True)
-    save_limits(file, made)
+    with atomic_path(file) as partial:
+        save_limits(partial, made)
     typer.echo(f"{file}: limits from {draws} known robots")
 
 

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
-from bench.commands.common.output import plain_table
+from bench.commands.common.output import plain_table, write_text
 from bench.swing.thesis_experiment import (
     ADDRESS_ROD,
     DERIVATIVE,
@@ -67,7 +67,7 @@ def simulate_thesis(output_folder: Path | str, as_json: bool = False) -> None:
     for picture in pictures:
         draw(experiment, picture)
     text = json.dumps(as_record(experiment, others), indent=2, allow_nan=False, ensure_ascii=False)
-    (folder / "thesis.json").write_text(text + "\n", encoding="utf-8")
+    write_text(text + "\n", folder / "thesis.json")
     if as_json:
         print(text)
         return

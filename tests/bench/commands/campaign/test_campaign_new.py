@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +13,7 @@ from typer.testing import CliRunner, Result
 
 from bench.base.errors import BenchError
 from bench.commands.cli import app
+from bench.records.telemetry.atomic_file import NotStored
 
 TWO = ("--compare", "ball", "--ball", "tour", "--ball", "range", "--club", "driver")
 SIZES = ("--difference", "2", "--sd", "1")
@@ -105,6 +108,19 @@ def test_campaign_new_existing_file_is_refused_unchanged(call: Call, tmp_path: P
     (tmp_path / "two.toml").write_text("kept")
     assert isinstance(call("new", "two.toml", *TWO, *SIZES).exception, BenchError)
     assert (tmp_path / "two.toml").read_text() == "kept"
+
+
+def test_campaign_new_full_disk_leaves_no_file(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    error = call("new", "two.toml", *TWO, *SIZES).exception
+    assert isinstance(error, NotStored)
+    assert error.location == "two.toml"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_campaign_new_unknown_names_keeps_file_and_reports_each(call: Call, tmp_path: Path) -> None:
