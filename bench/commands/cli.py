@@ -294,14 +294,21 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
             text = "error: working directory: it was deleted\n  action:   cd to a folder that exists"
             return [text], ExitCode.FILE
         case OSError(filename=str() | bytes() | Path()):
-            return [f"error: {error.filename!s}: {error.strerror}"], ExitCode.FILE
+            return explain(_unusable(os.fsdecode(error.filename), error))
         case OSError(errno=errno.ENOSPC | errno.EDQUOT | errno.EIO | errno.EROFS):
-            return [f"error: standard output or a file: {error.strerror}"], ExitCode.FILE
+            return explain(_unusable("standard output or a file", error))
         case _:
             cause = f"internal error: {type(error).__name__}: {error}"
             return [
                 f"{cause}\n  action:   report it with the output of golfbench --debug ..."
             ], ExitCode.INTERNAL
+
+
+def _unusable(location: str, error: OSError) -> BenchError:
+    expected, action = "a file or folder that can be used", "Check path, rights and disk space."
+    fault = BenchError(location, error.strerror or str(error), expected, action)
+    fault.exit_code = ExitCode.FILE
+    return fault
 
 
 def _has_working_directory() -> bool:

@@ -242,7 +242,11 @@ def test_shell_completion_completes_command_name() -> None:
             ["Correct the value.", "Correct the key."],
         ),
         (DriverError("valve island: found no answer"), 69, ["error: valve island: found no answer"]),
-        (FileNotFoundError(2, "No such file or directory", "swing.toml"), 74, ["swing.toml: No such file"]),
+        (
+            FileNotFoundError(2, "No such file or directory", "swing.toml"),
+            74,
+            ["error: swing.toml\n", "found:    No such file", "Check path"],
+        ),
         (ZeroDivisionError("1/0"), 70, ["internal error: ZeroDivisionError: 1/0", "--debug"]),
         (KeyboardInterrupt(), 130, []),
         (Terminated(), 143, []),
@@ -268,6 +272,8 @@ def test_main_error_for_programs_prints_json_lines(
     assert run(ExceptionGroup("config.toml", [BAD_PRESSURE, BAD_KEY])) == ExitCode.BAD_INPUT
     printed = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
     assert printed == [BAD_PRESSURE.record(), BAD_KEY.record()]
+    assert run(NotADirectoryError(20, "Not a directory", "data")) == ExitCode.FILE
+    assert json.loads(capsys.readouterr().err)["location"] == "data"
 
 
 def test_debug_option_prints_traceback(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
@@ -288,7 +294,9 @@ def test_main_full_disk_exits_with_file_code(
     run: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(OSError(errno.ENOSPC, "No space left on device")) == ExitCode.FILE
-    assert capsys.readouterr().err == "error: standard output or a file: No space left on device\n"
+    assert (
+        "error: standard output or a file\n  found:    No space left on device\n" in capsys.readouterr().err
+    )
 
 
 def test_main_deleted_working_directory_is_reported(
