@@ -24,6 +24,7 @@ from bench.commands.common.command import (
     exit_unless,
     flag,
     option,
+    require_folder,
     show_json,
     user_name,
 )
@@ -81,6 +82,8 @@ def _outputs(
     from bench.campaign.report.report_format import UnitSystem
     from bench.commands.campaign.campaign_baseline import read_baseline
 
+    require_folder("--junit", junit)
+    require_folder("--report", report_to)
     return Outputs(json_, junit, report_to, read_baseline(check) if check else [], UnitSystem(units))
 
 

@@ -140,7 +140,7 @@ Plot = Annotated[Path | None, option("Also plot it: .png, .svg or .pdf.", "FILE"
 
 
 def require_picture(plot: Path | None) -> None:
-    """Raise BenchError unless the suffix of `plot` is that of a picture."""
+    """Raise BenchError unless the suffix of `plot` is that of a picture, and its folder is there."""
     if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise BenchError(
             "--plot",
@@ -148,6 +148,14 @@ def require_picture(plot: Path | None) -> None:
             "a name that ends in .png, .svg or .pdf",
             "Give --plot a name such as plot.png.",
         )
+    require_folder("--plot", plot)
+
+
+def require_folder(name: str, file: Path | None) -> None:
+    """Raise BenchError unless the folder of `file`, the value of option `name`, is there: before any work."""
+    if file is not None and not file.parent.is_dir():
+        action = "Make the folder, or name a file in another one."
+        raise BenchError(name, str(file), f"a file in a folder that exists, not {file.parent}", action)
 
 
 Processes = Annotated[int, option("Number of processes; 0: one per core.", low=0)]

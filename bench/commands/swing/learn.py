@@ -23,6 +23,7 @@ from bench.commands.common.command import (
     flag,
     known_profiles,
     option,
+    require_folder,
     show_json,
 )
 from bench.commands.common.output import paused, plain_table, progress_bar
@@ -81,6 +82,7 @@ def learn(
     from bench.swing.profile import save_profile
 
     elsewhere = {"--robot": robot, "--draw": draw, "--club": club}
+    require_folder("--output", output)
     _require_usable({"--source": source} if sim else elsewhere, sim)
     configuration = context.ensure_object(Session).configuration()
     require_planned_openings(configuration.control)
@@ -90,12 +92,14 @@ def learn(
     plant = configuration.plant
     truth = _robot(plant, robot, draw, club)
     bench = Bench.of(configuration, swing)
-    measured = source or "encoders+model"
+    measured, settings = source or "encoders+model", configuration.bench
+    with open_database(database_url(settings.database, settings.data_dir)):
+        pass  # refused before the robot swings
     if sim:
         result, simulated = _learn_in_lock_step(bench, truth, swings), True
     else:
         result, simulated = _learn_live(configuration, bench, measured, swings)
-    settings, now = configuration.bench, datetime.now(UTC)
+    now = datetime.now(UTC)
     conditions = Conditions.of(swing, plant, configuration.air.temperature, truth if simulated else None)
     entry = stored(result, settings.id, swing.name, conditions, measured, now, simulated=simulated)
     with open_database(database_url(settings.database, settings.data_dir), now) as database:

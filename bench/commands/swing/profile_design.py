@@ -18,6 +18,7 @@ from bench.commands.common.command import (
     argument,
     flag,
     option,
+    require_folder,
     sweep_engine,
 )
 from bench.commands.common.output import console_of, progress_bar, progress_of_steps
@@ -135,6 +136,7 @@ def design(
     from bench.design.designer import DesignFailed, SwingDemand
     from bench.design.requirements import require_planned_openings
 
+    require_folder("FILE", output)
     configuration = context.ensure_object(Session).configuration().with_club(club)
     require_planned_openings(configuration.control)
     plant = configuration.plant

@@ -180,6 +180,9 @@ def test_campaign_run_wrong_baseline_or_digest_starts_no_campaign(call: Call, tm
     assert done.exception is not None
     changed = call("run", tmp_path / "short.toml", "--sim", "--expect", "0" * 16)
     assert "as checked" in str(changed.exception)
+    for option in ("--report", "--junit"):
+        astray = call("run", tmp_path / "short.toml", "--sim", option, tmp_path / "no" / "x")
+        assert "a file in a folder that exists" in str(astray.exception)
     assert call("list").stdout.strip() == "No campaigns yet."
     assert call("report", "nothing").exception is not None
 

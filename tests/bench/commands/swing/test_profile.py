@@ -14,6 +14,7 @@ import pytest
 
 from bench.base.errors import BenchError, ExitCode
 from bench.commands.cli import main
+from bench.commands.swing import learn
 from bench.config import load_configuration
 from bench.design.designer import DesignFailed
 from bench.golfer.comparison import compare_motions, golfer_motion, robot_motion
@@ -130,10 +131,10 @@ def test_profile_simulate_club_option_mounts_club(run: Run) -> None:
 
 @pytest.mark.release
 def test_learn_sim_club_option_mounts_club(run: Run) -> None:
-    learn = ("--config", "bag", "learn", str(IRON), "--sim", "--swings", "1", "--json")
-    answer = run(*learn)
+    one = ("--config", "bag", "learn", str(IRON), "--sim", "--swings", "1", "--json")
+    answer = run(*one)
     assert (answer.code, '"driver", the mounted one' in answer.err) == (ExitCode.BAD_INPUT, True)
-    answer = run(*learn, "--club", "iron7", "--draw", "1")
+    answer = run(*one, "--club", "iron7", "--draw", "1")
     assert json.loads(answer.out)["content"]["target"]["head_speed_mps"] == pytest.approx(34.9, rel=0.01)
 
 
@@ -144,6 +145,30 @@ def test_learn_running_bench_club_option_is_refused(run: Run) -> None:
         True,
         True,
     )
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "learn slow --sim --output no/x.toml",
+        "profile design no/x.toml",
+        "profile show slow --plot no/x.png",
+    ],
+)
+def test_commands_missing_output_folder_is_refused_before_work(
+    command: str, run: Run, tmp_path: Path
+) -> None:
+    before = sorted(tmp_path.rglob("*"))
+    answer = run("--config", "mine.toml", *command.split())
+    assert (answer.code, "a file in a folder that exists, not no" in answer.err) == (ExitCode.BAD_INPUT, True)
+    assert (answer.out, sorted(tmp_path.rglob("*"))) == ("", before)
+
+
+def test_learn_unusable_database_is_refused_before_swings(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learn, "_learn_in_lock_step", lambda *_: pytest.fail("it swung"))
+    Path("here").write_text("a file in place of the data folder")
+    answer = run("--config", "mine.toml", "learn", "slow", "--sim")
+    assert (answer.code, "error: here\n" in answer.err) == (ExitCode.FILE, True)
 
 
 def test_commands_unknown_name_is_refused_with_suggestion(run: Run) -> None:
