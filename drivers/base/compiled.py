@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from hashlib import sha256
 from typing import Any, TypeVar, cast
 
 import numba
@@ -63,8 +64,15 @@ class _KeptCode(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
     """Machine code on disk; what cannot be read is compiled again.
 
     An index names the types of arguments: those of a module that has moved since are not there any more. A
-    loss of power may leave a file cut short.
+    loss of power may leave a file cut short. Processes that compile a function for two signatures at one time
+    would number their files alike, and the code of one would be found under the other.
     """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Save machine code under a name of its signature; an overwritten entry is compiled again."""
+        name = f"{self._index_name}.{sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+        self._save_data(name, data)
+        self._save_index(self._load_index() | {key: name})
 
     def _load_index(self) -> Any:
         try:

@@ -14,6 +14,7 @@ import pytest
 
 from drivers.base import compile_report
 from drivers.base.compile_report import CompileProgress, announce_compilation
+from drivers.base.compiled import _KeptCode
 
 TOP = Path(__file__).parents[3]
 
@@ -119,6 +120,25 @@ def test_compiled_call_old_or_unreadable_cache_recompiles(copy: Path) -> None:
     for kept in (copy / "cache").rglob("*sum_of*"):
         kept.write_bytes(b"")
     assert printed(copy, CALL) == "188\n"
+
+
+def test_kept_code_two_processes_at_once_are_not_mixed_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second process has read the index before the first writes it, and saves before the first."""
+    first, second = (_KeptCode(str(tmp_path), "react-12.py311", "stamp") for _ in range(2))
+    save_data = first._save_data
+
+    def interrupted(name: str, data: str) -> None:
+        with monkeypatch.context() as stale:
+            stale.setattr(second, "_load_index", dict)
+            second.save("float", "code for float")
+        save_data(name, data)
+
+    monkeypatch.setattr(first, "_save_data", interrupted)
+    first.save("int", "code for int")
+    assert first.load("float") == "code for float"
+    assert second.load("int") in ("code for int", None)
 
 
 @pytest.fixture
