@@ -48,7 +48,7 @@ CONSTRUCTIONS = {
 }
 """Max occurrences in hand-written documents, strings of PACKAGES, and strings of tests: never raise them."""
 
-MAX_SHORT_ACTIONS = 5
+MAX_SHORT_ACTIONS = 0
 """Errors whose action has at most three words and no value."""
 MAX_CLAUSES = 0
 """Errors that expect "it …", "to …", "this …" or "one"."""

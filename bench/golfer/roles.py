@@ -229,9 +229,8 @@ def _read_map(capture: Capture, path: Path) -> dict[str, tuple[str, ...]]:
         found[role] = tuple(str(_find(capture, name)) for name in names)
     sides = {role.split("_")[0] for role in found} & {"lead", "left"}
     if len(sides) > 1:
-        raise BenchError(
-            str(path), "left and lead together", "left and right, or lead and trail", "Use one pair."
-        )
+        action = "Replace left by lead and right by trail, or the reverse."
+        raise BenchError(str(path), "left and lead together", "left and right, or lead and trail", action)
     return found
 
 

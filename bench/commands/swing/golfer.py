@@ -200,7 +200,8 @@ def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
 def _require_destination(name: str, folder: Path) -> None:
     """Refuse a name that is no file's, or a folder that does not exist."""
     if not _NAME.fullmatch(name):
-        raise BenchError("--name", name[:60], "letters, digits, blanks, dots, dashes", "Give another --name.")
+        action = "Give --name a name of these characters."
+        raise BenchError("--name", name[:60], "letters, digits, blanks, dots, dashes", action)
     if not folder.is_dir():
         raise BenchError("--output", str(folder), "a folder that exists", "Make the folder, or name another.")
 
@@ -219,7 +220,7 @@ def _choice(option: str, given: str | None, choices: tuple[str, ...]) -> str:
     if given is None:
         return ""
     if given.lower() not in choices:
-        raise BenchError(option, given[:40], f"one of {', '.join(choices)}", f"Correct {option}.")
+        raise BenchError(option, given[:40], f"one of {', '.join(choices)}", f"Give {option} one of them.")
     return given.lower()
 
 
@@ -231,7 +232,8 @@ def _events(text: str | None) -> dict[str, float]:
         try:
             found[{"top": "top", "impact": "impact"}[key]] = float(value)
         except (KeyError, ValueError):
-            raise BenchError("--events", part[:40], "top=S, impact=S or both", "Correct --events.") from None
+            action = "Give the times in seconds, as --events top=0.8,impact=1.1."
+            raise BenchError("--events", part[:40], "top=S, impact=S or both", action) from None
     return found
 
 
