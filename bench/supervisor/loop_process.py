@@ -52,6 +52,7 @@ from bench.supervisor.supervision import SUPERVISION_FILE, Orders
 from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing, new_timing
 from bench.supervisor.timing_record import Stall
 from drivers.base import Driver, DriverError
+from drivers.base.compile_report import progress
 from drivers.base.compiled import new_record, numbers
 from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 from drivers.registry import choose_driver, find_drivers
@@ -163,6 +164,18 @@ class LoopProcess:
         self._failures = 0
         self._fault = ""
         self._reported_device: tuple[str, dict[str, int]] = "", {}
+
+    def compile(self) -> None:
+        """Compile all code, with the device open and passive.
+
+        Raises:
+            DriverError: the device is unsuitable.
+        """
+        with ExitStack() as stack:
+            self._open_driver()
+            stack.callback(self.driver.close)
+            stack.callback(self._make_passive)
+            self._compile()
 
     def run(self) -> str:
         """Warm up, report ready, run until stopped; return the reason of the end.
@@ -409,13 +422,28 @@ class LoopProcess:
             self.driver.make_passive()
 
 
+COMPILED = "--compiled"
+"""Argument of the process after it has compiled."""
+
+
 def main() -> int:
-    """Run the loop of the plan on stdin; return the exit code."""
+    """Run the loop of the plan on stdin; return the exit code.
+
+    A process that had to compile starts again, once: else the compiler's memory, four times that of the loop,
+    would be locked.
+    """
     parent = Parent()
     plan: Any = read_plan()
     parent.listen()
     try:
-        reason = LoopProcess(plan, parent).run()
+        process = LoopProcess(plan, parent)
+        if progress.compiled and COMPILED not in sys.argv:
+            process.compile()
+            if not parent.stop_requested:
+                os.lseek(0, 0, os.SEEK_SET)  # the plan, again
+                command = [sys.executable, "-P", "-m", "bench.supervisor.loop_process", COMPILED]
+                os.execv(sys.executable, command)  # noqa: S606 - this very program
+        reason = process.run()
     except (BenchError, SharedMemoryError, DriverError) as error:
         return send_failure(error)
     send_event("ended", reason=reason)

@@ -35,7 +35,7 @@ class CompileProgress:
         self._clock = clock
         self.known = 0
         """Number of functions that may be compiled."""
-        self._compiled: set[int] = set()
+        self.compiled: set[int] = set()
         """Identities of those that were compiled, for some of them several times."""
         self._begin = self._due = 0.0
 
@@ -45,12 +45,12 @@ class CompileProgress:
         if not self._begin:
             self._begin, self._due = now, now + _FIRST
         if done is not None:
-            self._compiled.add(id(done))
+            self.compiled.add(id(done))
         if now >= self._due:
             self._due = now + _BETWEEN
             report_compilation(
-                f"compiling, once for each version: {len(self._compiled)} of at most "
-                f"{max(self.known, len(self._compiled))} functions, {now - self._begin:.0f} s"
+                f"compiling, once for each version: {len(self.compiled)} of at most "
+                f"{max(self.known, len(self.compiled))} functions, {now - self._begin:.0f} s"
             )
 
 

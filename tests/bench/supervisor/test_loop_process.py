@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import mmap
+import os
+import sys
 import time
+from contextlib import suppress
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
 
 from bench.base.errors import Refused
+from bench.supervisor import loop_process
 from bench.supervisor.loop_process import WARM_UP, LoopProcess, ThreadUsage, stall_between, usage_reader
 from bench.supervisor.timing_record import STAMPS, Stall
+from drivers.base.compile_report import CompileProgress
 
 MS = 1_000_000
 BEFORE = ThreadUsage(page_faults=7, preemptions=3, waited=5 * MS)
@@ -47,6 +52,47 @@ def test_usage_reader_counts_page_faults_of_thread() -> None:
         after = read()
     assert after.page_faults > before.page_faults
     assert after.waited >= before.waited
+
+
+@pytest.mark.parametrize("arguments", [[], [loop_process.COMPILED]])
+def test_main_after_compilation_starts_again_once(
+    monkeypatch: pytest.MonkeyPatch, arguments: list[str]
+) -> None:
+    class Process:
+        def __init__(self, plan: object, parent: object) -> None:
+            progress.compiled.add(1)
+
+        def compile(self) -> None:
+            done.append("compile")
+
+        def run(self) -> str:
+            done.append("run")
+            return "done"
+
+    def execute(path: str, command: list[str]) -> NoReturn:
+        done.append(command[-1])
+        raise SystemExit
+
+    done: list[str] = []
+    progress = CompileProgress()
+    monkeypatch.setattr(loop_process, "LoopProcess", Process)
+    monkeypatch.setattr(loop_process, "progress", progress)
+    monkeypatch.setattr(loop_process, "read_plan", object)
+    monkeypatch.setattr(loop_process, "Parent", SilentParent)
+    monkeypatch.setattr(loop_process, "send_event", lambda event, **_: None)
+    monkeypatch.setattr(os, "execv", execute)
+    monkeypatch.setattr(os, "lseek", lambda *_: 0)
+    monkeypatch.setattr(sys, "argv", ["loop_process", *arguments])
+    with suppress(SystemExit):
+        loop_process.main()
+    assert done == (["run"] if arguments else ["compile", loop_process.COMPILED])
+
+
+class SilentParent:
+    stop_requested = False
+
+    def listen(self) -> None:
+        pass
 
 
 PERIOD_NS = 1_000_000
