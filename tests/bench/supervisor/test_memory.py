@@ -49,6 +49,8 @@ HEAVY = frozenset(
         "zenoh",
     }
 )
+COMPUTES_CONTROL = {"bench.supervisor.daemon", "bench.supervisor.loop_process"}
+"""Processes that load more of scipy than numba does."""
 SUPERVISOR_LOADS = {"asyncio"}
 """By sqlalchemy."""
 
@@ -64,6 +66,7 @@ def test_process_imports_only_allowed_heavy_packages(module: str) -> None:
     ).stdout.split()
     found = {name.partition(".")[0] for name in loaded} & HEAVY
     assert found <= ALLOWED[module] | (SUPERVISOR_LOADS if module == "bench.supervisor.daemon" else set())
+    assert ("scipy.linalg" in loaded) <= (module in COMPUTES_CONTROL)
 
 
 def _rollup(pid: int) -> dict[str, int]:
