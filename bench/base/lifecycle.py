@@ -205,7 +205,7 @@ class Reaction(IntEnum):
 
     NONE = 0
     COMPLETE = 1
-    """Finish this swing through its planned braking, then disarm."""
+    """Finish this swing through its planned braking, then latch the cause at standstill."""
     BRAKE = 2
     """Controlled stop with air on, then VENT at standstill."""
     BLIND_BRAKE = 3

@@ -33,7 +33,7 @@ from bench.network.command import (
     parse_answer,
     parse_error,
 )
-from bench.network.lease import DEFAULT_SECONDS
+from bench.network.lease import CAMPAIGN_HOLDER, DEFAULT_SECONDS
 from bench.network.zenoh_session import NoAnswer, close_session, open_client
 
 if TYPE_CHECKING:
@@ -67,6 +67,9 @@ STOP_TIMEOUT = 20.0
 LATCHED = frozenset(state.name for state in status_words.LATCHED)
 _MOVING = frozenset(state.name for state in status_words.MOVING)
 
+_COMMANDS = {Verb.SECURE: "access --end"}
+"""Commands that have another name than their verb."""
+
 _PASSING_STATES = {Verb.HOME: ("RECOVERING",), Verb.ARM: ("HOMING", "RECOVERING")}
 """States that refuse a verb and end automatically in one that accepts it. None for a swing: two requests must
 not make two swings."""
@@ -80,7 +83,10 @@ class CommandRefused(Refused):
 
     def __init__(self, bench: str, verb: Verb, answer: CommandAnswer) -> None:
         self.verb, self.answer = verb, answer
-        location, blocks = f"{verb} of bench {bench}", answer.content.get("arming_blocks", ())
+        location, blocks = (
+            f"{_COMMANDS.get(verb, verb)} of bench {bench}",
+            answer.content.get("arming_blocks", ()),
+        )
         if blocks:
             found, expected, actions = (
                 dict.fromkeys(parts)
@@ -91,14 +97,15 @@ class CommandRefused(Refused):
             )
             super().__init__(location, "; ".join(found), "; ".join(expected), " ".join(actions))
             return
-        states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
         wrong_state = answer.refusal == Refusal.STATE.name
         command = f"Next: {status_words.COMMANDS[State[answer.state]]}."
         action = status_words.sentence(answer.action.removesuffix("."))
+        if answer.state == State.ARMED.name and verb in (Verb.HOME, Verb.ACCESS):
+            action, command = "Disarm first.", "Next: golfbench disarm."
         super().__init__(
             location,
             f"refused in state {answer.state}: {answer.reason}",
-            f"state {' or '.join(states)}" if wrong_state else "no blocking condition",
+            _accepted_in(verb) if wrong_state else "no blocking condition",
             " ".join(filter(None, (action, command if wrong_state else ""))) or "Look at golfbench status.",
         )
 
@@ -467,8 +474,15 @@ class BenchClient:
 
     def _require_lease(self, verb: Verb) -> HeldLease:
         if self.held is None:
-            location = f"{verb} of bench {self.bench}"
-            raise Refused(location, "no lease", "the lease of the bench", "Take it: golfbench lease take.")
+            location, lease = f"{_COMMANDS.get(verb, verb)} of bench {self.bench}", self.status()["lease"]
+            action, holder = "Take it: golfbench lease take.", lease["holder"] if lease else ""
+            if holder.startswith(CAMPAIGN_HOLDER):
+                campaign = holder.removeprefix(CAMPAIGN_HOLDER)
+                action = (
+                    f"Answer the campaign's prompt: golfbench campaign answer {campaign}. "
+                    f"Or stop it: golfbench campaign stop {campaign}."
+                )
+            raise Refused(location, "no lease", "the lease of the bench", action)
         return self.held
 
     def _ask_keyed(self, verb: Verb, **values: Any) -> CommandAnswer:
@@ -523,6 +537,14 @@ class BenchClient:
                 raise parse_error(reply.err.payload.to_bytes())
         waited = f"waited {time.monotonic() - began:.1f} s"
         raise NoAnswer(self.bench, self._network.endpoint, waited)
+
+
+def _accepted_in(verb: Verb) -> str:
+    """Return the states that accept `verb`."""
+    if verb is Verb.SECURE:  # a stop latched in an access keeps the guard unlocked once it was opened
+        return "an access, or a guard opened in one"
+    states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
+    return f"state {' or '.join(states)}"
 
 
 def action_of(status: BenchStatus) -> str:

@@ -12,6 +12,9 @@ from bench.base.lifecycle import REFUSAL_WORDS, Refusal, Words, in_one
 MAX_HOLDER_LENGTH = 64
 """Characters of a holder's name."""
 
+CAMPAIGN_HOLDER = "campaign "
+"""Prefix of a campaign's id as holder of the lease."""
+
 MIN_SECONDS, DEFAULT_SECONDS, MAX_SECONDS = 5.0, 30.0, 600.0
 """Min, default and max duration of a lease, s."""
 

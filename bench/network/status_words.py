@@ -15,16 +15,16 @@ MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING}
 LATCHED = frozenset({State.ESTOP, State.FAULT})
 
 STATE_WORDS = {
-    State.STARTING: ("Starting", "Wait until the bench has started."),
+    State.STARTING: ("Not ready yet", "Wait until the bench has started."),
     State.ESTOP: ("Stopped and latched", "Clear the cause, then reset."),
     State.SAFE: ("Vented, not homed", "Home the robot."),
-    State.HOMING: ("Homing: the robot moves", "Wait until it is homed."),
-    State.READY: ("Ready: vented and homed", "Arm to swing, or open the access to change club or ball."),
-    State.ARMED: ("Armed: air on, the robot may move", "Swing once it rests at the address, or disarm."),
-    State.SWINGING: ("Swinging: the robot moves at full speed", "Keep clear of the guard."),
+    State.HOMING: ("The robot moves", "Wait until it is homed."),
+    State.READY: ("Vented and homed", "Arm to swing, or open the access to change club or ball."),
+    State.ARMED: ("Air on, the robot may move", "Swing once it rests at the address, or disarm."),
+    State.SWINGING: ("The robot moves at full speed", "Keep clear of the guard."),
     State.RECOVERING: ("Returning or braking: the robot moves", "Wait until it rests."),
-    State.ACCESS: ("Access: vented, guard unlocked", "Close the guard, then end the access."),
-    State.FAULT: ("Fault, latched", "Clear the cause, then reset."),
+    State.ACCESS: ("Vented, guard unlocked", "Close the guard, then end the access."),
+    State.FAULT: ("Latched", "Clear the cause, then reset."),
 }
 """State and next step, for the operator; "vented" means that the chambers are verified empty."""
 
@@ -48,10 +48,10 @@ VENTING_WORDS = {
         "Stay outside until it is vented; clear the cause, then reset.",
     ),
     State.SAFE: ("Venting, not homed", "Wait until it is vented, then home the robot."),
-    State.READY: ("Venting, homed", "Wait until it is vented."),
-    State.ACCESS: ("Access, but a chamber shows pressure", "Leave the robot and close the guard."),
+    State.READY: ("Venting, homed", "Arm to swing once it is vented."),
+    State.ACCESS: ("Guard unlocked, but a chamber shows pressure", "Leave the robot and close the guard."),
     State.FAULT: (
-        "Fault, latched, not vented yet",
+        "Latched, not vented yet",
         "Stay outside until it is vented; clear the cause, then reset.",
     ),
 }
@@ -78,7 +78,7 @@ PHASE_WORDS = {
 
 REACTION_WORDS = {
     Reaction.NONE: "",
-    Reaction.COMPLETE: "completes this swing, then disarms",
+    Reaction.COMPLETE: "completes this swing, then brakes, vents and latches the stop",
     Reaction.BRAKE: "brakes with air on",
     Reaction.BLIND_BRAKE: "brakes by a fixed valve pattern, without readings",
     Reaction.PASSIVE: "spools centred, supply shut",
@@ -110,9 +110,11 @@ def next_command(status: BenchStatus) -> str:
 
 
 def state_line(status: BenchStatus) -> str:
-    """Return state, cause and next command in one line."""
+    """Return state, cause and next command in one line; in ACCESS first whether it is vented."""
     cause = status["cause"]
-    fact = sentence(cause["text"]) if cause else f"{state_words(status)}."
+    fact = sentence(cause["text"]) if cause else ""
+    if not cause or status["state"] == State.ACCESS.name:
+        fact = f"{state_words(status)}. {fact}".rstrip()
     return f"bench {status['bench']}: {status['state']}. {fact} Next: {next_command(status)}"
 
 

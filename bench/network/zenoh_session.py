@@ -61,7 +61,8 @@ class NoAnswer(BenchError):
             f"bench {bench} at {endpoint}",
             f"no answer: denied or not running ({waited})",
             "a running bench of this name",
-            "Start it (golfbench run), or correct bench.id and network.endpoint of the configuration."
+            "Start it (golfbench run); a first start compiles for minutes. Or correct bench.id and "
+            "network.endpoint of the configuration."
             + " Or ask the bench's administrator for a role, or for a new certificate."
             * endpoint.startswith(TLS),
         )

@@ -41,6 +41,7 @@ from bench.learning.live import LiveSwinger
 from bench.network.bench_operator import READY, BenchOperator, NoShot
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
+from bench.network.lease import CAMPAIGN_HOLDER
 from bench.network.status_words import absent_monitor_text
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
 from bench.records.shot.shot import ShotStatus
@@ -61,8 +62,6 @@ from sim.live.exchange import SurroundingsWriter
 from sim.plant import PlantParameters
 from sim.robot import Club
 
-HOLDER = "campaign "
-"""Prefix of a campaign's name as holder of the lease."""
 _AT_THE_ROBOT = {
     Refusal.GUARD: "Leave the robot and close the guard.",
     Refusal.LOCAL_RESET: "Press the reset button next to the robot.",
@@ -87,7 +86,7 @@ def require_live(
             does not name the carry it compares, or a ball's aerodynamics were not `measured`.
     """
     location, lease = f"plan {plan.campaign.name}", status["lease"]
-    if lease is not None and not lease["holder"].startswith(HOLDER):
+    if lease is not None and not lease["holder"].startswith(CAMPAIGN_HOLDER):
         location = f"bench {status['bench']}"
         found = f"held by {lease['holder']}, for another {lease['seconds_left']:.0f} s"
         raise Refused(location, found, "a free bench", "Ask for it, or wait: golfbench status.")

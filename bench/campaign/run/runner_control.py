@@ -18,7 +18,7 @@ from bench.campaign.plan.plan_file import plan_from_record
 from bench.campaign.plan.shot_sequence import Course, course
 from bench.campaign.run.campaign_control import bench_lock, runner_lock
 from bench.campaign.run.corrections import CampaignCorrections
-from bench.campaign.run.live_shots import HOLDER, LiveShots, require_live
+from bench.campaign.run.live_shots import LiveShots, require_live
 from bench.campaign.run.plan_requirements import (
     START_SERIES,
     Profiles,
@@ -39,7 +39,7 @@ from bench.campaign.statistics.analysis import decide
 from bench.config import Configuration
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
-from bench.network.lease import MAX_HOLDER_LENGTH
+from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState
 from sim.air import Air
@@ -155,7 +155,7 @@ def run_campaign(
                     corrections,
                     configuration.clubs,
                     client,
-                    f"{HOLDER}{entry.id}"[:MAX_HOLDER_LENGTH],
+                    f"{CAMPAIGN_HOLDER}{entry.id}"[:MAX_HOLDER_LENGTH],
                     simulated=entry.simulated,
                     monitored=bool(entry.real_time.get("launch_monitor")),
                     measured=measured,

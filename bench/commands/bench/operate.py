@@ -100,9 +100,18 @@ def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> 
 @app.command(rich_help_panel=PANEL)
 def disarm(context: typer.Context) -> None:
     """Disarm: vent if at rest, otherwise brake first."""
+    from bench.base.lifecycle import Refusal
+    from bench.network.client import CommandRefused
+
     with _client(context) as bench:
-        bench.disarm()
-        _tell(bench)
+        try:
+            bench.disarm()
+        except CommandRefused as refused:
+            if refused.refusal is not Refusal.STATE or refused.answer.state not in ("SAFE", "READY"):
+                raise
+            typer.echo(f"bench {bench.bench}: {refused.answer.state}. Disarmed already.")
+        else:
+            _tell(bench)
 
 
 @app.command(rich_help_panel=PANEL)

@@ -142,6 +142,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
             f"{status['swings']} of {status['profile']}"
             f"{', corrected' if status['correction'] else ''}, driver {status['driver']}",
         ),
+        ("club", f"{status['club']}, {'a ball' if status['ball_present'] else 'no ball'} on the tee"),
         ("commands", _pairs(dict(status["counts"]))),
     ]
     if status["last_stop"]:

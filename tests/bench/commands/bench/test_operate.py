@@ -20,10 +20,10 @@ from rich.console import Console
 
 from bench.base.address import free_port
 from bench.base.errors import ExitCode
-from bench.base.lifecycle import Cause, Request, State
+from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.commands.bench.status_table import status_table
 from bench.commands.cli import main
-from bench.network.bench_service import CommandAnswer, LaunchMonitorStatus
+from bench.network.bench_service import CauseStatus, CommandAnswer, LaunchMonitorStatus
 from bench.network.client import REST
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
@@ -101,11 +101,11 @@ def test_operate_commands_lease_to_release_print_each_state(
 def test_arm_wait_returns_armed_and_at_rest(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     golfbench("reset")
-    ready = "bench bench1: READY. Ready: vented and homed. Next: golfbench arm --wait\n"
+    ready = "bench bench1: READY. Vented and homed. Next: golfbench arm --wait\n"
     assert golfbench("home", "--wait").out == ready
     began = time.monotonic()
     armed = golfbench("arm", "--wait")
-    assert armed.out.startswith("bench bench1: ARMED. Armed: air on, the robot may move. Next: golfbench tee")
+    assert armed.out.startswith("bench bench1: ARMED. Air on, the robot may move. Next: golfbench tee")
     assert time.monotonic() - began >= REST
     assert golfbench("swing").code == 0
 
@@ -118,7 +118,7 @@ def test_swing_command_prints_delivery_launch_and_carry(running: RunningPlane, g
         0,
         "swing 1: 43.05 m/s (96.3 mph) at the ball, attack +1.94°, strike +0.1 mm to the toe, -0.1 mm up\n"
         "ball: 64.15 m/s (143.5 mph), launch 12.4°, spin 2406 rpm, carry 208.0 m (227.5 yd) by model\n"
-        "bench bench1: READY. Ready: vented and homed. Next: golfbench arm --wait\n",
+        "bench bench1: READY. Vented and homed. Next: golfbench arm --wait\n",
         "",
     )
 
@@ -239,6 +239,59 @@ def test_arm_wait_fault_ends_wait(running: RunningPlane, golfbench: Golfbench) -
     assert "action:   Reset to begin. Next: golfbench reset." in err
 
 
+def test_stop_command_past_no_return_says_that_it_latches(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    service, status = running.service, running.service.status
+    service.state = State.SWINGING
+    service.status = lambda: status() | {"reaction": "COMPLETE"}  # type: ignore[method-assign]
+
+    def stop(request: Request) -> CommandAnswer:
+        threading.Timer(0.3, setattr, (service, "state", State.FAULT)).start()
+        return CommandAnswer(True, State.SWINGING.name)
+
+    service.stop = stop  # type: ignore[method-assign]
+    first = golfbench("stop").out.splitlines()[0]
+    assert first == "bench bench1: stopping: completes this swing, then brakes, vents and latches the stop"
+
+
+def test_access_with_latched_cause_first_reports_unlocked_guard(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    status, latched = running.service.status, CauseStatus(name="RESTART", text="unclean", action="")
+    running.service.status = lambda: status() | {"cause": latched}  # type: ignore[method-assign]
+    golfbench("lease", "take")
+    expected = "bench bench1: ACCESS. Vented, guard unlocked. Unclean. Next: golfbench access --end\n"
+    assert golfbench("access").out == expected
+
+
+def test_access_end_without_access_reports_expected_guard(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    golfbench("lease", "take")
+    running.service.refuse = Refusal.STATE
+    err = golfbench("access", "--end").err
+    assert err.startswith("error: access --end of bench bench1\n")
+    assert "expected: an access, or a guard opened in one\n" in err
+
+
+@pytest.mark.parametrize("state", [State.SAFE, State.READY])
+def test_disarm_at_rest_is_done_already(running: RunningPlane, golfbench: Golfbench, state: State) -> None:
+    running.service.state = state
+    assert golfbench("disarm") == Outcome(0, f"bench bench1: {state.name}. Disarmed already.\n", "")
+    running.service.state = State.ESTOP
+    assert golfbench("disarm").code == ExitCode.REFUSED
+
+
+@pytest.mark.parametrize("line", ["home", "access"])
+def test_command_for_disarmed_robot_in_armed_suggests_disarm(
+    running: RunningPlane, golfbench: Golfbench, line: str
+) -> None:
+    golfbench("lease", "take")
+    running.service.state = State.ARMED
+    assert golfbench(line).err.endswith("action:   Disarm first. Next: golfbench disarm.\n")
+
+
 def test_operate_command_renews_lease(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     before = running.plane.lease()
@@ -280,6 +333,16 @@ def test_operate_commands_without_lease_are_refused(running: RunningPlane, golfb
         assert code == ExitCode.REFUSED
         assert "golfbench lease take" in err
     assert running.service.requests == []
+
+
+def test_access_end_during_campaign_names_campaign_to_answer(
+    running: RunningPlane, golfbench: Golfbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golfbench("lease", "take", "--holder", "campaign c7")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "other"))
+    code, _, err = golfbench("access", "--end")
+    assert code == ExitCode.REFUSED
+    assert "Answer the campaign's prompt: golfbench campaign answer c7." in err
 
 
 def test_swing_command_not_armed_or_without_lease_is_refused(
@@ -419,6 +482,8 @@ def test_status_table_shows_all_items_within_80_columns() -> None:
         "prefer: memory lock none instead of all",
         "sim",
         "default",
+        "driver, no ball on the tee",
+        "POWER_UP, , 2026-11-21T12:00:00+00:00",
     ):
         assert part in text, part
     assert "SILENT" not in text
