@@ -157,8 +157,7 @@ def _make_plain(command: TyperCommand | TyperGroup) -> None:
             parameter.help = _literal(text)  # type: ignore[attr-defined]  # options and arguments have one
         if getattr(parameter, "is_flag", False):
             parameter.metavar = ""
-        if not (parameter.required or parameter.multiple or parameter.nargs != 1):
-            _pass_plain(parameter)
+        _pass_plain(parameter)
 
 
 def _literal(text: str) -> str:
@@ -168,12 +167,17 @@ def _literal(text: str) -> str:
 
 def _pass_plain(parameter: Any) -> None:
     convert, callback = parameter.process_value, parameter.callback
-    is_text = parameter.type_descriptor.annotation is str
+    is_single = not (parameter.required or parameter.multiple or parameter.nargs != 1)
+    is_text = is_single and parameter.type_descriptor.annotation is str
 
     def process_value(context: Any, value: Any) -> Any:
-        if value is not parameter.default and not (is_text and isinstance(value, str)):
+        if is_single and (value is parameter.default or (is_text and isinstance(value, str))):
+            return value if callback is None else callback(context, parameter, value)
+        try:
             return convert(context, value)
-        return value if callback is None else callback(context, parameter, value)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
 
     parameter.process_value = process_value
 

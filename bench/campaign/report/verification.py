@@ -17,13 +17,20 @@ from typing import Any
 
 from bench.base.errors import BenchError
 from bench.campaign.interruptions import software_versions
-from bench.campaign.report.campaign_record import SHOT_DIGITS, CampaignRecord, Digests, record_digests
+from bench.campaign.report.campaign_record import (
+    SHOT_DIGITS,
+    CampaignRecord,
+    Digests,
+    amendment,
+    reasons_by_hand,
+    record_digests,
+)
 from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.store.campaigns import StoredShot
 
-_MAX_DIFFERENCES = 20
+_MAX_DIFFERENCES = 10
 """Max number of reported differences of one kind."""
 _TOLERANCE = 1e-9
 """Share by which a figure may differ: libraries of another machine round differently."""
@@ -53,8 +60,12 @@ def verify_page(record: CampaignRecord, page: str, place: str) -> Verification:
     """
     data = _embedded(record, page, place)
     digests = record_digests(record)
-    differences = [*_digests(data, digests, page), *_shots(record, digests.shots, str(data["shots"]))]
     units, issued = UnitSystem(data["units"]), int(data["issue"])
+    differences = [
+        *_changes_after(record, issued),
+        *_digests(data, digests, page),
+        *_shots(record, digests.shots, str(data["shots"])),
+    ]
     issues = {id(event) for event in record.issues[issued:]}
     then = replace(record, events=[event for event in record.events if id(event) not in issues])
     found = findings(record.plan, record.shots, data["looks"], units)
@@ -64,6 +75,19 @@ def verify_page(record: CampaignRecord, page: str, place: str) -> Verification:
     if today and _TODAY.sub("", page) != _TODAY.sub("", render_campaign_report(then, found, units)):
         differences.append("page: not the one that the records give")
     return Verification(digests.whole, _leaves(figures), today, tuple(differences))
+
+
+def _changes_after(record: CampaignRecord, issued: int) -> Iterator[str]:
+    """Yield which shots a person excluded, or let count again, after the report's issue number `issued`."""
+    if not issued:
+        return
+    date = record.issues[issued - 1].date
+    before = reasons_by_hand([one for one in record.exclusions if one.date <= date]).keys()
+    now = reasons_by_hand(record.exclusions).keys()
+    for shots, words in ((now - before, "excluded"), (before - now, "counted again")):
+        if shots:
+            numbers, action = ", ".join(map(str, sorted(shots))), amendment(record.entry.id)
+            yield f"shots {words} after the issue: {numbers}; issue an amendment: {action}"
 
 
 def missing_records(stored: Sequence[StoredShot], data_dir: Path) -> list[str]:

@@ -78,8 +78,8 @@ def _profiles(
                 f"{path}: club",
                 f"a swing designed for club {club!r}",
                 f"one for {name!r}, or for a club of the same masses and lengths",
-                f"Design one (golfbench profile design, with club {name}) and name it: "
-                f'[swings.{swing}] {name} = "PROFILE".',
+                f"Design one: golfbench profile design {name}.toml --club {name}. "
+                f'Then name it in the plan: [swings.{swing}] {name} = "{name}.toml".',
             )
         yield (swing, name), path, profile, misfit
 

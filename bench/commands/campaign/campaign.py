@@ -198,13 +198,16 @@ def _request(context: typer.Context, campaign: str, request: str) -> None:
 def mark(
     context: typer.Context,
     campaign: Id,
-    comment: Annotated[str, argument("COMMENT", "Observation.")] = "",
+    comment: Annotated[str, argument("COMMENT", "Observation, up to 200 characters.")] = "",
     shot: Annotated[int | None, option("Shot number.", "NUMBER", shown="the last one")] = None,
     by: Annotated[str, option("Person who saw it.", "NAME", shown="user@host")] = "",
 ) -> None:
     """Mark a shot, with a comment; it still counts. The report shows marks and comments."""
-    from bench.store.records import ShotNote
+    from bench.store.records import MAX_COMMENT_LENGTH, ShotNote
 
+    if len(comment) > MAX_COMMENT_LENGTH:
+        found, expected = f"a comment of {len(comment)} characters", f"up to {MAX_COMMENT_LENGTH}"
+        raise Refused(f"campaign {campaign}", found, expected, "Write the comment in short.")
     with found_campaign(context, campaign) as (store, entry):
         number = store.last_shot(entry.id) if shot is None else shot
         store.add_note(entry.id, ShotNote(number, datetime.now(UTC), by or user_name(), comment))
@@ -224,16 +227,14 @@ def exclude(
 
     A running campaign does not repeat it.
     """
-    from bench.campaign.report.campaign_record import ISSUE, exclude_shot
+    from bench.campaign.report.campaign_record import ISSUE, amendment, exclude_shot
 
     with found_campaign(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
         is_issued = any(event.kind == ISSUE for event in store.events(entry.id))
     typer.echo(f"shot {shot} {'counts again' if undo else 'excluded'}: {reason.strip()}")
     if is_issued:
-        typer.echo(
-            "The issued report needs an amendment: golfbench campaign report ID --issue --reason TEXT."
-        )
+        typer.echo(f"The issued report needs an amendment: {amendment(entry.id)}")
 
 
 @app.command()

@@ -189,6 +189,8 @@ def _settings(location: str) -> Configuration | None:
     from bench.config import load_configuration
 
     path = Path(location)
+    if path.is_dir():
+        raise BenchError(location, "a folder", "a record, a profile or a configuration", "Name a file in it.")
     if path.suffix == ".toml" and "schema" not in read_toml(path, "a configuration or a profile", _ACTION):
         return load_configuration(path)
     return load_configuration(path) if location in variant_names() else None

@@ -12,6 +12,7 @@ import pytest
 
 from bench.base.errors import Refused
 from bench.campaign.report.campaign_record import (
+    ISSUE,
     MAX_REASON_LENGTH,
     CampaignRecord,
     exclude_shot,
@@ -78,6 +79,21 @@ def test_exclude_shot_changes_results_and_keeps_record(store: CampaignStore, tak
     assert "(1 by hand)" in again
     assert "leaf on the &lt;tee&gt;" in again
     assert "With these shots the result would" in again
+
+
+def test_verify_page_names_shots_excluded_after_issue_first(
+    store: CampaignStore, taken: CampaignRecord
+) -> None:
+    campaign = taken.entry.id
+    exclude_shot(store, campaign, 9, "leaf", "Ann", LATER - timedelta(hours=2))
+    store.note_event(campaign, Event(LATER - timedelta(hours=1), len(taken.shots), ISSUE, "Ann"))
+    page = _page(store, campaign)
+    exclude_shot(store, campaign, 12, "leaf", "Ann", LATER)
+    exclude_shot(store, campaign, 9, "no leaf", "Ann", LATER, undo=True)
+    found = verify_page(load_record(store, store.entry(campaign)), page, "report.html").differences
+    action = f"issue an amendment: golfbench campaign report {campaign} --issue --reason TEXT"
+    assert found[0] == f"shots excluded after the issue: 12; {action}"
+    assert found[1] == f"shots counted again after the issue: 9; {action}"
 
 
 def test_exclude_shot_undo_is_listed_in_report(store: CampaignStore, taken: CampaignRecord) -> None:

@@ -219,6 +219,12 @@ def test_cli_wrong_usage_exits_with_2(arguments: list[str]) -> None:
     assert "Traceback" not in answer.stderr
 
 
+def test_cli_wrong_choice_lists_choices_alone() -> None:
+    err = _golfbench("export", "--format", "parquet", "a").stderr
+    assert "is not one of 'csv'" in err
+    assert "Value error" not in err
+
+
 def test_shell_completion_completes_command_name() -> None:
     answer = _golfbench(
         env={

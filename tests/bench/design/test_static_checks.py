@@ -140,6 +140,15 @@ def test_profile_faults_names_each_reason(
     assert fault.action
 
 
+def test_profile_faults_other_club_hides_missed_ball(
+    slow_swing: Profile, plant: PlantParameters, envelope: EnvelopeSettings
+) -> None:
+    missed = replace(slow_swing, club="putter", impact_time=0.5)
+    faults = profile_faults(missed, plant, envelope, "slow.toml")
+    assert not any("impact_time_s" in fault.location for fault in faults)
+    assert any("golfbench profile list" in fault.action for fault in faults)
+
+
 @pytest.mark.parametrize(
     ("limits", "location", "expected"),
     [

@@ -98,6 +98,7 @@ def test_campaign_commands_simulated_run_to_issued_and_verified_report(call: Cal
     assert shots[4].carry_m is None
     assert len(list((tmp_path / "data" / "campaigns" / campaign / "swings").glob("*.parquet"))) == 13
     assert call("mark", campaign, "a gust", "--shot", "3").stdout == "shot 3 marked: a gust\n"
+    assert "up to 200" in str(call("mark", campaign, 201 * "x", "--shot", "3").exception)
     assert "no shot 99" in str(call("mark", campaign, "--shot", "99").exception)
     reason = ("--reason", "leaf on the tee", "--by", "Ann")
     assert call("exclude", campaign, "3", *reason).stdout == "shot 3 excluded: leaf on the tee\n"
@@ -123,7 +124,8 @@ def test_campaign_commands_simulated_run_to_issued_and_verified_report(call: Cal
     assert call("verify", campaign).exit_code == ExitCode.OK
     assert isinstance(call("report", campaign, "--issue").exception, Refused)
     assert "needs an amendment" in call("exclude", campaign, "3", "--undo", *reason).stdout
-    assert "needs an amendment" in call("exclude", campaign, "3", *reason).stdout
+    told = call("exclude", campaign, "3", *reason).stdout
+    assert f"needs an amendment: golfbench campaign report {campaign} --issue --reason TEXT\n" in told
     amended = call("report", campaign, "--issue", "--reason", "leaf").stdout
     first, second = (Path(report.stdout.strip()).with_name(f"report-R{n}.html") for n in (1, 2))
     assert f"issued as {campaign}-R2: {second}" in amended

@@ -56,6 +56,7 @@ def test_compare_configurations_lists_differing_keys(
         (["absent.parquet", "default"], "absent.parquet"),
         (["absent.toml", "default"], "absent.toml"),
         (["default", "driver-100mph", "--plot", "a.txt"], ".png"),
+        ([".", "default"], "found:    a folder"),
     ],
 )
 def test_compare_incompatible_inputs_are_refused(
