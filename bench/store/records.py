@@ -32,6 +32,11 @@ class CampaignState(StrEnum):
     """Its runner died without closing it; never stored."""
 
 
+def state_text(state: str, reason: str) -> str:
+    """Return `state` with its reason, which stands alone if it begins with the state."""
+    return reason if reason.startswith(state) else f"{state}: {reason}" if reason else state
+
+
 ENDED = frozenset({CampaignState.ABORTED, CampaignState.FINISHED})
 """Final states."""
 

@@ -195,9 +195,9 @@ def _sds(record: CampaignRecord) -> str:
     excluded = sum(shot.status is not ShotStatus.VALID for shot in record.shots)
     events = sum(event.kind not in {ISSUE, "look"} for event in record.events)
     if excluded:
-        stated.append(f"{excluded} shots do not count")
+        stated.append(f"{excluded} shots do not count" if excluded > 1 else "1 shot does not count")
     if events:
-        stated.append(f"{events} events during the campaign")
+        stated.append(f"{events} event{'s' * (events > 1)} during the campaign")
     if excluded or events:
         stated[-1] += ", see Excluded and failed shots"
     return "; ".join(stated) or "none"

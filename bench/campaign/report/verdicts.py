@@ -122,7 +122,7 @@ def _one_level(plan: CampaignPlan, analysis: SectionAnalysis, unit: DisplayUnit)
         )
     return Verdict(
         True,
-        f"{level.name}: {name} {of(s.mean):.2f} {unit.unit}, one shot scatters by {of(s.sd):.2f} "
+        f"{level.name}: {name} {of(s.mean):.2f} {unit.unit}, one shot scatters by {_sd(of(s.sd))} "
         f"{unit.unit}.",
         f"{detail} One level only: nothing is compared.",
     )
@@ -211,8 +211,9 @@ def _look(analysis: SectionAnalysis) -> str:
     if look.share >= 1:
         return f"Look no. {look.number}, those before it allowed for. " if look.number > 1 else ""
     return (
-        f"Before the plan's end, after {100 * look.share:.0f} % of its shots (look no. {look.number}): the "
-        f"error level is {100 * look.alpha:.2g} %, so that all looks together keep the plan's. "
+        f"With {100 * look.share:.0f} % of the plan's shots (look no. {look.number}), as the others do not "
+        f"count or are to come: the error level is {100 * look.alpha:.2g} %, so that all looks together keep "
+        "the plan's. "
     )
 
 
@@ -230,10 +231,10 @@ def _pair(
         f"Difference {pair.first} − {pair.second}: {_signed(of(pair.difference))} {unit.unit}, "
         f"{confidence_words(comparison.confidence)} % interval {_signed(of(pair.low))} to "
         f"{_signed(of(pair.high))} {unit.unit}. {_size(plan, [pair])} One shot scatters by "
-        f"{of(comparison.sd):.2f} {unit.unit} (SD)"
+        f"{_sd(of(comparison.sd))} {unit.unit} (SD)"
     )
     groups = "mountings of one club" if plan.split else "balls of one model"
-    seen += "" if between is None else f", {groups} by {of(between):.2f} {unit.unit}"
+    seen += "" if between is None else f", {groups} by {_sd(of(between))} {unit.unit}"
     match pair.verdict:
         case "different" | "both":
             ahead, behind = (pair.first, pair.second) if pair.difference > 0 else (pair.second, pair.first)
@@ -297,6 +298,11 @@ def _margin(plan: CampaignPlan, unit: DisplayUnit) -> str:
 def _size_in(size: float, unit: DisplayUnit) -> str:
     """Return a size of the plan with its unit."""
     return f"{unit.of(size):.4g} {unit.unit}" if unit.size != 1 else f"{size:g} {unit.unit}"
+
+
+def _sd(value: float) -> str:
+    """Return a standard deviation with two decimals; a small one with two significant digits."""
+    return f"{value:.2f}" if value >= 0.1 or not value else f"{value:.2g}"
 
 
 def _signed(value: float) -> str:

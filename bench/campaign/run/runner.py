@@ -249,7 +249,7 @@ class Runner:
         except _RunEnd as end:
             return end.state, end.reason
         except KeyboardInterrupt:
-            return CampaignState.STOPPED, f"interrupted by {self._cause()} before the next shot"
+            return CampaignState.STOPPED, f"stopped by {self._cause()} before the next shot"
         except DatabaseLocked as error:
             self._source.rest()
             lost = "; the last shot is not stored and is taken again" * bool(self._pending)
@@ -284,7 +284,7 @@ class Runner:
                     self._say(kind, text)
                 continue
             if taken.stopped:  # as if it was never started
-                reason = f"interrupted by {self._cause()}; the swing is taken again"
+                reason = f"stopped by {self._cause()}; the swing will be repeated"
                 raise _RunEnd(CampaignState.STOPPED, reason)
             shot = self._gated(step, taken)
             self._store_later(step, sample, shot, taken, writer)
@@ -496,7 +496,7 @@ class Runner:
         paused: float | None = None
         while True:
             if self._interrupted():
-                raise _RunEnd(CampaignState.STOPPED, f"interrupted by {self._cause()}")
+                raise _RunEnd(CampaignState.STOPPED, f"stopped by {self._cause()}")
             match self._requested()[0]:
                 case "stop":
                     raise _RunEnd(CampaignState.STOPPED, self._by_request("stopped"))

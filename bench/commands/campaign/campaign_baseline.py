@@ -20,7 +20,7 @@ from bench.base.from_toml import format_value, read_toml
 from bench.campaign.plan.shot_sequence import Role
 from bench.campaign.run.runner import RunOutcome
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import CampaignEntry, CampaignState
+from bench.store.records import CampaignEntry, CampaignState, state_text
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def junit_xml(
         for (block, position), shot in sorted(last.items())
     ]
     ended = outcome.state is CampaignState.FINISHED
-    cases.append(("came to its end", "campaign", "" if ended else f"{outcome.state}: {outcome.reason}"))
+    cases.append(("came to its end", "campaign", "" if ended else state_text(outcome.state, outcome.reason)))
     cases += [(check.band.path, "baseline", "" if check.holds else str(check)) for check in checks]
     failures = sum(bool(failure) for _, _, failure in cases)
     suite = ElementTree.Element(

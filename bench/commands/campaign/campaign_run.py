@@ -292,7 +292,7 @@ def _run(
         held = [{"path": c.band.path, "value": c.value, "holds": c.holds} for c in checks]
         show_json({"campaign": entry.id, **outcome._asdict(), "baseline": held, "findings": figures})
     else:
-        _tell(outcome, found, checks, outputs.units)
+        _tell(entry.id, outcome, found, checks, outputs.units)
     exit_unless(outcome.state is CampaignState.FINISHED and all(check.holds for check in checks))
 
 
@@ -339,10 +339,16 @@ def _marker(store: CampaignStore, campaign: str) -> Callable[[ShotNote], None]:
     return lambda note: own.add_note(campaign, note)
 
 
-def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem) -> None:
+def _tell(
+    campaign: str, outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem
+) -> None:
     """Print the end of a run and its findings."""
-    reason = f": {outcome.reason}" if outcome.reason else ""
-    typer.echo(f"{outcome.state}{reason}; {outcome.shots} shots, {outcome.valid} valid")
+    from bench.store.records import CampaignState, state_text
+
+    reached = state_text(outcome.state, outcome.reason)
+    typer.echo(f"{reached}; {outcome.shots} shots, {outcome.valid} valid")
+    if outcome.state in {CampaignState.STOPPED, CampaignState.SUSPENDED}:
+        typer.echo(f"Next: golfbench campaign resume {campaign}")
     for verdicts in found.verdicts:
         for verdict in verdicts:
             typer.echo(f"{verdict.headline}\n  {verdict.detail}")

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from bench.campaign.interruptions import duration_text
 from bench.records.shot.shot import ShotStatus
-from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
+from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing, state_text
 
 _SELDOM = 2.0
 """Min time between plain lines for valid shots, s."""
@@ -88,7 +88,7 @@ class ProgressScreen:
         if event != self._event and event:
             self._say(event["text"])
         if standing != self._standing and message["reason"]:
-            self._say(f"{message['state']}: {message['reason']}")
+            self._say(state_text(*standing))
         self._event, self._standing = event, standing
 
     def show(self, message: Mapping[str, Any]) -> None:
@@ -138,7 +138,7 @@ def progress_lines(message: Mapping[str, Any]) -> list[str]:
             when += f", in about {duration_text(work['seconds'])}"
         lines.append(f"next by hand: {work['text']} {when}")
     if message["state"] != CampaignState.RUNNING:
-        lines.append(f"{message['state']}: {message['reason']}")
+        lines.append(state_text(message["state"], message["reason"]))
     return lines
 
 

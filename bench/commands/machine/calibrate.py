@@ -163,7 +163,10 @@ def club(
     note: Note = "",
     json_: Json = False,
 ) -> None:
-    """Set a club's length to the face, loft and lie as it sits in the mount."""
+    """Set a club's length to the face, loft and lie as it sits in the mount.
+
+    Standard uncertainties: --length-uncertainty-mm and --angle-uncertainty-deg.
+    """
     from bench.calibration.calibration import CalibrationKind
 
     content = {

@@ -76,7 +76,10 @@ def test_findings_interim_look_states_true_confidence(plan: CampaignPlan) -> Non
     assert comparison.confidence == pytest.approx(1 - spent(0.05, 0.5))
     (verdict,) = found.verdicts[0]
     assert f"{confidence_words(comparison.confidence)} % interval" in verdict.detail
-    assert "Before the plan's end, after 50 % of its shots (look no. 1)" in verdict.detail
+    assert (
+        "With 50 % of the plan's shots (look no. 1), as the others do not count or are to come"
+        in verdict.detail
+    )
     whole = findings(plan, campaign_shots(plan, Truth(), 3)).verdicts[0][0]
     assert "95 % interval" in whole.detail
     assert "look" not in whole.detail.lower()

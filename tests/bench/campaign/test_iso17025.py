@@ -101,7 +101,7 @@ def test_particulars_draft_states_known_and_missing_facts(record: CampaignRecord
     assert stated["Operator"] == "erika@bench1"
     assert stated["Sampling"] == "not stated"
     assert stated["Tested"] == "2026-01-01"
-    assert stated["Deviations"].startswith("balls conditioned for 2 h; 1 shots do not count; 1 events")
+    assert stated["Deviations"].startswith("balls conditioned for 2 h; 1 shot does not count; 1 event during")
     assert "guard band" in stated["Decision rule"]
     page = _words(render_campaign_report(record, findings(record.plan, record.shots)))
     for wanted in (

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.campaign.run.campaign_control import standing_now
-from bench.store.records import CampaignState, Standing
+from bench.store.records import CampaignState, Standing, state_text
 from bench.supervisor.ownership import try_lock
 
 NAME = "2026-11-26-two-balls-1"
@@ -45,3 +45,15 @@ def test_standing_now_runner_on_other_machine_is_unchanged(tmp_path: Path) -> No
 def test_standing_now_closed_campaign_is_unchanged(lock: Path, tmp_path: Path, state: CampaignState) -> None:
     stored = Standing(state, "its reason", "")
     assert standing_now(tmp_path, NAME, stored) == stored
+
+
+@pytest.mark.parametrize(
+    ("reason", "text"),
+    [
+        ("paused by request of Ann", "paused by request of Ann"),
+        ("disk full", "paused: disk full"),
+        ("", "paused"),
+    ],
+)
+def test_state_text_names_state_once(reason: str, text: str) -> None:
+    assert state_text("paused", reason) == text

@@ -12,7 +12,7 @@ import pytest
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.findings import findings
-from bench.campaign.report.verdicts import Verdict
+from bench.campaign.report.verdicts import Verdict, _sd
 from bench.campaign.statistics.analysis import analyse
 from bench.campaign.statistics.block_model import scatter_ratios, successive_scatter
 from bench.campaign.statistics.sample_size import predict_precision, series_needed
@@ -27,6 +27,11 @@ def _case(part: str) -> Case:
 
 def _first(plan: CampaignPlan, shots: Sequence[Shot]) -> Verdict:
     return findings(plan, shots).verdicts[0][0]
+
+
+@pytest.mark.parametrize(("sd", "text"), [(1.234, "1.23"), (0.1, "0.10"), (0.00346, "0.0035"), (0.0, "0.00")])
+def test_sd_small_value_keeps_two_digits(sd: float, text: str) -> None:
+    assert _sd(sd) == text
 
 
 def test_verdict_one_ball_holds_for_ball_not_model() -> None:

@@ -208,6 +208,19 @@ def test_help_page_shows_complete_texts(
     assert "[[" not in shown
 
 
+@pytest.mark.parametrize(
+    ("path", "command"), [pytest.param(*page, id=" ".join(page[0])) for page in _pages(command_line())]
+)
+def test_help_page_of_80_columns_has_each_option(
+    path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([*path, "--help"])
+    shown = capsys.readouterr().out
+    assert [name for p in command.params for name in p.opts if name[0] == "-" and name not in shown] == []
+
+
 def test_version_option_prints_package_version() -> None:
     assert _golfbench("--version").stdout == f"golfbench {version('golfbench')}\n"
 

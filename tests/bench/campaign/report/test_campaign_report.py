@@ -348,7 +348,7 @@ def test_junit_xml_has_case_for_each_planned_shot_and_band(record: CampaignRecor
     failed = {case.get("name"): case[0].get("message") for case in cases if len(case)}
     assert len(cases) == 40 + 2 == int(suite.get("tests", ""))
     assert len(failed) == 3 == int(suite.get("failures", ""))
-    assert failed["came to its end"] == "stopped: stopped by request"
+    assert failed["came to its end"] == "stopped by request"
     assert failed["x"] == "x: 3, band 0 to 1"
 
 

@@ -174,7 +174,7 @@ def test_campaign_sigterm_vents_bench_and_keeps_calibrations(tmp_path: Path) -> 
                 process.terminate()
                 output, _ = process.communicate(timeout=120)
             assert process.returncode == ExitCode.TERMINATED, output
-            assert "interrupted by SIGTERM" in output
+            assert "stopped by SIGTERM" in output
             assert bench.client.wait_for("READY")["lease"] is None
             bench.wait_until(lambda record: record["vented"])
             store = CampaignStore(engine)
@@ -182,7 +182,7 @@ def test_campaign_sigterm_vents_bench_and_keeps_calibrations(tmp_path: Path) -> 
             assert (standing.state, counts) == (CampaignState.STOPPED, {"valid": 1}), (
                 "the swing was completed"
             )
-            assert store.events(entry.id)[-1].text == "interrupted by SIGTERM"
+            assert store.events(entry.id)[-1].text == "stopped by SIGTERM"
             with campaign(file, "resume", entry.id) as process:
                 output, _ = process.communicate(timeout=120)
                 assert process.returncode == ExitCode.OK, output

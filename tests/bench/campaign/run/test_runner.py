@@ -556,7 +556,7 @@ def test_runner_interruptions_are_stored_as_events(make: Callable[..., Bench]) -
     events = bench.store.events(bench.entry.id)
     assert all(before <= event.date <= datetime.now(UTC) for event in events)
     assert "the runner had ended without closing the campaign; resumed, " in events[0].text
-    assert events[2].text == "interrupted by Ctrl-C"
+    assert events[2].text == "stopped by Ctrl-C"
     assert "feeder jam" in events[4].text
     assert "it was suspended (5 shots in a row not valid" in events[5].text
 
