@@ -239,7 +239,7 @@ def test_arm_wait_fault_ends_wait(running: RunningPlane, golfbench: Golfbench) -
     assert "action:   Reset to begin. Next: golfbench reset." in err
 
 
-def test_stop_command_past_no_return_says_that_it_latches(
+def test_stop_command_past_no_return_reports_latched_stop(
     running: RunningPlane, golfbench: Golfbench
 ) -> None:
     service, status = running.service, running.service.status
