@@ -90,3 +90,8 @@ def test_state_view_missing_ball_is_shown_before_swing() -> None:
     status = FakeDesk(State.ARMED).status()
     assert state_view(status)["next"].startswith(NO_BALL)
     assert NO_BALL not in state_view(status | {"ball_present": True})["next"]
+
+
+def test_state_view_ready_but_unvented_bench_is_armed_later() -> None:
+    status = FakeDesk(State.READY).status() | {"vented": False}
+    assert state_view(status)["next"] == "Arm to swing once it is vented."

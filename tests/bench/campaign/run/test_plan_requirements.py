@@ -11,7 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.campaign.plan.plan_file import load_plan
-from bench.campaign.run.plan_requirements import START_SERIES, free_space, needs, needs_series, needs_words
+from bench.campaign.run.plan_requirements import (
+    START_SERIES,
+    free_space,
+    needs,
+    needs_series,
+    needs_words,
+    swings_of_other_clubs,
+)
 from bench.commands.cli import app
 from bench.config import load_configuration
 from bench.swing.library import find_profile
@@ -43,6 +50,15 @@ def test_needs_series_narrow_gate_without_planned_air_requires_series() -> None:
 
     assert (needed(1.0, free), needed(2.5, free), needed(0.0, free)) == (True, False, False)
     assert (needed(1.0, planned), needed(1.0, planned, free)) == (False, True)
+
+
+def test_swings_of_other_clubs_action_is_complete_command() -> None:
+    plan = load_plan(Path("two-balls"), SHIPPED)
+    longer = replace(plan.clubs["driver"], name="mine", length_to_face=1.2)
+    mine = replace(plan, clubs=plan.clubs | {"mine": longer}, design=replace(plan.design, clubs=("mine",)))
+    (misfit,) = swings_of_other_clubs(mine, SHIPPED).values()
+    assert "golfbench profile design mine.toml --club mine." in misfit.action
+    assert '] mine = "mine.toml".' in misfit.action
 
 
 @pytest.mark.parametrize(

@@ -419,6 +419,7 @@ def test_operate_command_without_bench_exits_no_answer(line: str, golfbench: Gol
     code, _, err = golfbench(*line.split())
     assert code == ExitCode.NO_ANSWER
     assert "no answer: denied or not running" in err
+    assert "a first start compiles for minutes" in err
     assert "golfbench run" in err
 
 

@@ -24,7 +24,9 @@ from bench.campaign.plan.shot_sequence import all_trials
 from bench.campaign.report.campaign_record import load_record
 from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
+from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.run.campaign_control import bench_lock, find_campaign, runner_lock
+from bench.campaign.run.runner import RunOutcome
 from bench.campaign.run.runner_control import new_entry, run_campaign
 from bench.campaign.run.shot_source import Watcher
 from bench.campaign.run.simulated_shots import BEGIN
@@ -187,6 +189,17 @@ def test_campaign_run_wrong_baseline_or_digest_starts_no_campaign(call: Call, tm
         assert "a file in a folder that exists" in str(astray.exception)
     assert call("list").stdout.strip() == "No campaigns yet."
     assert call("report", "nothing").exception is not None
+
+
+@pytest.mark.parametrize("state", [CampaignState.STOPPED, CampaignState.FINISHED])
+def test_campaign_run_ended_early_prints_resume_command(
+    state: CampaignState, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found: Any = SimpleNamespace(verdicts=[], rules=[])
+    outcome = RunOutcome(state, f"{state} by Ctrl-C", 3, 2)
+    campaign_run._tell("c7", outcome, found, [], UnitSystem.SI)
+    resume = "Next: golfbench campaign resume c7\n" * (state is CampaignState.STOPPED)
+    assert capsys.readouterr().out == f"{state} by Ctrl-C; 3 shots, 2 valid\n{resume}"
 
 
 @pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report"])
