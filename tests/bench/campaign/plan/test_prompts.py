@@ -274,7 +274,12 @@ def test_runner_prompt_met_before_resume_is_closed(make: Callable[..., Series]) 
     series, person = make(), Person(times=0, kinds=frozenset({PromptKind.BENCH}))
     rig = Rig(seen)
     rig.lacking = Preparation(PromptKind.BENCH, "Restart the bench.", {"profile": "slow"})
-    with beside(lambda: (person.seen.wait(30.0), series.store.change(series.entry.id, requested="stop"))):
+
+    def asks() -> None:
+        person.seen.wait(30.0)
+        series.store.change(series.entry.id, requested="stop")
+
+    with beside(asks):
         assert series.run(rig, person).state is CampaignState.STOPPED
     rig.lacking = None  # restarted meanwhile
     assert series.run(rig).state is CampaignState.FINISHED
