@@ -150,8 +150,9 @@ class HeartbeatSender:
 class Parent:
     """Stop requests of the supervisor: SIGTERM, or its death. Ctrl-C is left to the supervisor."""
 
-    def __init__(self) -> None:
-        self._parent = os.getppid()
+    def __init__(self, pid: int = 0) -> None:
+        """`pid`: of the supervisor, by default of this process' parent."""
+        self.pid = pid or os.getppid()
         self.stop_requested = False
         """Whether SIGTERM was received."""
 
@@ -165,7 +166,7 @@ class Parent:
     @property
     def gone(self) -> bool:
         """Whether the supervisor died."""
-        return os.getppid() != self._parent
+        return os.getppid() != self.pid
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.stop_requested = True

@@ -19,7 +19,7 @@ import resource
 import sys
 import time as wall
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -54,6 +54,7 @@ from bench.supervisor.timing_record import Stall
 from drivers.base import Driver, DriverError
 from drivers.base.compile_report import progress
 from drivers.base.compiled import new_record, numbers
+from drivers.base.machine_code import cache_folder
 from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 from drivers.registry import choose_driver, find_drivers
 from sim.live.paced_driver import PacedPlantDriver
@@ -171,14 +172,14 @@ class LoopProcess:
         Raises:
             DriverError: the device is unsuitable.
         """
+        self._open_driver()
         with ExitStack() as stack:
-            self._open_driver()
             stack.callback(self.driver.close)
             stack.callback(self._make_passive)
             self._compile()
 
     def run(self) -> str:
-        """Warm up, report ready, run until stopped; return the reason of the end.
+        """Warm up the compiled code, report ready, run until stopped; return the reason of the end.
 
         Raises:
             BenchError: real time is required and not granted, the ticks are too long, or a shared file is
@@ -204,14 +205,12 @@ class LoopProcess:
             )
             self.cycle.state.control["first_cause"] = self.plan.first_cause
             self._bind()
-            self._open_driver()
             stack.callback(self.driver.close)
             stack.callback(self._make_passive)
-            self._compile()
             granted = stack.enter_context(
                 real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
             )
-            self._reopen()  # compiling may have exceeded the watchdog and heartbeat time-outs
+            self._open_driver()
             self._read_usage = stack.enter_context(usage_reader())
             clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
@@ -423,7 +422,17 @@ class LoopProcess:
 
 
 COMPILED = "--compiled"
-"""Argument of the process after it has compiled."""
+"""Argument of the process after it has compiled, before the process ID of the supervisor."""
+
+
+def _start_again(parent: Parent) -> None:
+    """Replace this program by a new one with the same plan; return where the machine code was not kept."""
+    if not os.access(cache_folder(), os.W_OK):
+        return
+    command = [sys.executable, "-P", "-m", "bench.supervisor.loop_process", COMPILED, str(parent.pid)]
+    with suppress(OSError):
+        os.lseek(0, 0, os.SEEK_SET)
+        os.execv(sys.executable, command)  # noqa: S606 - this very program
 
 
 def main() -> int:
@@ -432,17 +441,15 @@ def main() -> int:
     A process that had to compile starts again, once: else the compiler's memory, four times that of the loop,
     would be locked.
     """
-    parent = Parent()
+    again = sys.argv[1:2] == [COMPILED]
+    parent = Parent(int(sys.argv[2]) if again else 0)
     plan: Any = read_plan()
     parent.listen()
     try:
         process = LoopProcess(plan, parent)
-        if progress.compiled and COMPILED not in sys.argv:
-            process.compile()
-            if not parent.stop_requested:
-                os.lseek(0, 0, os.SEEK_SET)  # the plan, again
-                command = [sys.executable, "-P", "-m", "bench.supervisor.loop_process", COMPILED]
-                os.execv(sys.executable, command)  # noqa: S606 - this very program
+        process.compile()
+        if progress.compiled and not again and not parent.gone and not parent.stop_requested:
+            _start_again(parent)
         reason = process.run()
     except (BenchError, SharedMemoryError, DriverError) as error:
         return send_failure(error)

@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -15,6 +16,7 @@ import pytest
 
 from bench.base.errors import Refused
 from bench.supervisor import loop_process
+from bench.supervisor.child_process import Parent
 from bench.supervisor.loop_process import WARM_UP, LoopProcess, ThreadUsage, stall_between, usage_reader
 from bench.supervisor.timing_record import STAMPS, Stall
 from drivers.base.compile_report import CompileProgress
@@ -54,15 +56,30 @@ def test_usage_reader_counts_page_faults_of_thread() -> None:
     assert after.waited >= before.waited
 
 
-@pytest.mark.parametrize("arguments", [[], [loop_process.COMPILED]])
+@pytest.mark.parametrize(
+    ("arguments", "gone", "kept", "expected"),
+    [
+        ([], False, True, ["compile", [loop_process.COMPILED, "7"]]),
+        ([loop_process.COMPILED, "7"], False, True, ["compile", "run"]),
+        ([], True, True, ["compile", "run"]),  # which ends at once
+        ([], False, False, ["compile", "run"]),
+    ],
+)
 def test_main_after_compilation_starts_again_once(
-    monkeypatch: pytest.MonkeyPatch, arguments: list[str]
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    arguments: list[str],
+    gone: bool,
+    kept: bool,
+    expected: list[object],
 ) -> None:
     class Process:
-        def __init__(self, plan: object, parent: object) -> None:
-            progress.compiled.add(1)
+        def __init__(self, plan: object, parent: Parent) -> None:
+            assert parent.pid == (7 if arguments else os.getppid())
+            parent.pid = 7
 
         def compile(self) -> None:
+            progress.compiled.add(1)
             done.append("compile")
 
         def run(self) -> str:
@@ -70,29 +87,24 @@ def test_main_after_compilation_starts_again_once(
             return "done"
 
     def execute(path: str, command: list[str]) -> NoReturn:
-        done.append(command[-1])
+        done.append(command[-2:])
         raise SystemExit
 
-    done: list[str] = []
+    done: list[object] = []
     progress = CompileProgress()
     monkeypatch.setattr(loop_process, "LoopProcess", Process)
     monkeypatch.setattr(loop_process, "progress", progress)
     monkeypatch.setattr(loop_process, "read_plan", object)
-    monkeypatch.setattr(loop_process, "Parent", SilentParent)
+    monkeypatch.setattr(Parent, "gone", gone)
+    monkeypatch.setattr(Parent, "listen", lambda _: None)
+    monkeypatch.setattr(loop_process, "cache_folder", lambda: tmp_path if kept else tmp_path / "missing")
     monkeypatch.setattr(loop_process, "send_event", lambda event, **_: None)
     monkeypatch.setattr(os, "execv", execute)
     monkeypatch.setattr(os, "lseek", lambda *_: 0)
     monkeypatch.setattr(sys, "argv", ["loop_process", *arguments])
     with suppress(SystemExit):
         loop_process.main()
-    assert done == (["run"] if arguments else ["compile", loop_process.COMPILED])
-
-
-class SilentParent:
-    stop_requested = False
-
-    def listen(self) -> None:
-        pass
+    assert done == expected
 
 
 PERIOD_NS = 1_000_000
