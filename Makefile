@@ -15,7 +15,7 @@ PYTHON ?= $(firstword $(foreach python,python3 python3.13 python3.12 python3.11 
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 # uv takes a tenth of pip's time, and does not read pip's configuration: where it fails pip installs.
 install = { $(PIP) uv && $(BIN)/uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '$(1)'; } \
-  2>/dev/null || $(PIP) -e '$(1)'
+  2>/dev/null || { echo "uv failed; installing with pip takes minutes ..."; $(PIP) -e '$(1)'; }
 # ARGS=... is handed to pytest or to the benchmarks.
 
 help:  ## show this text
