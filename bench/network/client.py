@@ -100,7 +100,7 @@ class CommandRefused(Refused):
         wrong_state = answer.refusal == Refusal.STATE.name
         command = f"Next: {status_words.COMMANDS[State[answer.state]]}."
         action = status_words.sentence(answer.action.removesuffix("."))
-        if answer.state == State.ARMED.name and verb in (Verb.HOME, Verb.ACCESS):
+        if wrong_state and answer.state == State.ARMED.name and verb in (Verb.HOME, Verb.ACCESS):
             action, command = "Disarm first.", "Next: golfbench disarm."
         super().__init__(
             location,
@@ -474,16 +474,26 @@ class BenchClient:
 
     def _require_lease(self, verb: Verb) -> HeldLease:
         if self.held is None:
-            location, lease = f"{_COMMANDS.get(verb, verb)} of bench {self.bench}", self.status()["lease"]
-            action, holder = "Take it: golfbench lease take.", lease["holder"] if lease else ""
-            if holder.startswith(CAMPAIGN_HOLDER):
-                campaign = holder.removeprefix(CAMPAIGN_HOLDER)
+            location, action = (
+                f"{_COMMANDS.get(verb, verb)} of bench {self.bench}",
+                "Take it: golfbench lease take.",
+            )
+            if campaign := self._campaign():
                 action = (
                     f"Answer the campaign's prompt: golfbench campaign answer {campaign}. "
                     f"Or stop it: golfbench campaign stop {campaign}."
                 )
             raise Refused(location, "no lease", "the lease of the bench", action)
         return self.held
+
+    def _campaign(self) -> str:
+        """Return the ID of the campaign that holds the lease; empty if unknown."""
+        try:
+            lease = self.status()["lease"]
+        except NoAnswer:
+            return ""
+        holder = lease["holder"] if lease else ""
+        return holder.removeprefix(CAMPAIGN_HOLDER) if holder.startswith(CAMPAIGN_HOLDER) else ""
 
     def _ask_keyed(self, verb: Verb, **values: Any) -> CommandAnswer:
         # One at a time: two that overtake each other would be out of order.

@@ -211,8 +211,8 @@ def _look(analysis: SectionAnalysis) -> str:
     if look.share >= 1:
         return f"Look no. {look.number}, those before it allowed for. " if look.number > 1 else ""
     return (
-        f"With {100 * look.share:.0f} % of the plan's shots (look no. {look.number}), as the others do not "
-        f"count or are to come: the error level is {100 * look.alpha:.2g} %, so that all looks together keep "
+        f"Look no. {look.number} has {100 * look.share:.0f} % of the plan's shots; the others are excluded "
+        f"or still to come. The error level is {100 * look.alpha:.2g} %, so that all looks together keep "
         "the plan's. "
     )
 

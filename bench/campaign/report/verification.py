@@ -79,7 +79,7 @@ def verify_page(record: CampaignRecord, page: str, place: str) -> Verification:
 
 def _changes_after(record: CampaignRecord, issued: int) -> Iterator[str]:
     """Yield which shots a person excluded, or let count again, after the report's issue number `issued`."""
-    if not issued:
+    if not 0 < issued <= len(record.issues):
         return
     date = record.issues[issued - 1].date
     before = reasons_by_hand([one for one in record.exclusions if one.date <= date]).keys()

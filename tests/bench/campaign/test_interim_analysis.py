@@ -77,8 +77,7 @@ def test_findings_interim_look_states_true_confidence(plan: CampaignPlan) -> Non
     (verdict,) = found.verdicts[0]
     assert f"{confidence_words(comparison.confidence)} % interval" in verdict.detail
     assert (
-        "With 50 % of the plan's shots (look no. 1), as the others do not count or are to come"
-        in verdict.detail
+        "Look no. 1 has 50 % of the plan's shots; the others are excluded or still to come." in verdict.detail
     )
     whole = findings(plan, campaign_shots(plan, Truth(), 3)).verdicts[0][0]
     assert "95 % interval" in whole.detail
