@@ -155,7 +155,9 @@ def require_folder(name: str, file: Path | None) -> None:
     """Raise BenchError unless the folder of `file`, the value of option `name`, is there: before any work."""
     if file is not None and not file.parent.is_dir():
         action = "Make the folder, or name a file in another one."
-        raise BenchError(name, str(file), f"a file in a folder that exists, not {file.parent}", action)
+        fault = BenchError(name, str(file), f"a file in a folder that exists, not {file.parent}", action)
+        fault.exit_code = ExitCode.FILE
+        raise fault
 
 
 Processes = Annotated[int, option("Number of processes; 0: one per core.", low=0)]

@@ -160,7 +160,7 @@ def test_commands_missing_output_folder_is_refused_before_work(
 ) -> None:
     before = sorted(tmp_path.rglob("*"))
     answer = run("--config", "mine.toml", *command.split())
-    assert (answer.code, "a file in a folder that exists, not no" in answer.err) == (ExitCode.BAD_INPUT, True)
+    assert (answer.code, "a file in a folder that exists, not no" in answer.err) == (ExitCode.FILE, True)
     assert (answer.out, sorted(tmp_path.rglob("*"))) == ("", before)
 
 
