@@ -151,7 +151,7 @@ class Parent:
     """Stop requests of the supervisor: SIGTERM, or its death. Ctrl-C is left to the supervisor."""
 
     def __init__(self, pid: int = 0) -> None:
-        """`pid`: of the supervisor, by default of this process' parent."""
+        """`pid` is the supervisor's, by default this process' parent."""
         self.pid = pid or os.getppid()
         self.stop_requested = False
         """Whether SIGTERM was received."""
