@@ -83,10 +83,7 @@ class CommandRefused(Refused):
 
     def __init__(self, bench: str, verb: Verb, answer: CommandAnswer) -> None:
         self.verb, self.answer = verb, answer
-        location, blocks = (
-            f"{_COMMANDS.get(verb, verb)} of bench {bench}",
-            answer.content.get("arming_blocks", ()),
-        )
+        location, blocks = _location(verb, bench), answer.content.get("arming_blocks", ())
         if blocks:
             found, expected, actions = (
                 dict.fromkeys(parts)
@@ -474,16 +471,13 @@ class BenchClient:
 
     def _require_lease(self, verb: Verb) -> HeldLease:
         if self.held is None:
-            location, action = (
-                f"{_COMMANDS.get(verb, verb)} of bench {self.bench}",
-                "Take it: golfbench lease take.",
-            )
+            action = "Take it: golfbench lease take."
             if campaign := self._campaign():
                 action = (
                     f"Answer the campaign's prompt: golfbench campaign answer {campaign}. "
                     f"Or stop it: golfbench campaign stop {campaign}."
                 )
-            raise Refused(location, "no lease", "the lease of the bench", action)
+            raise Refused(_location(verb, self.bench), "no lease", "the lease of the bench", action)
         return self.held
 
     def _campaign(self) -> str:
@@ -547,6 +541,11 @@ class BenchClient:
                 raise parse_error(reply.err.payload.to_bytes())
         waited = f"waited {time.monotonic() - began:.1f} s"
         raise NoAnswer(self.bench, self._network.endpoint, waited)
+
+
+def _location(verb: Verb, bench: str) -> str:
+    """Return the command that was refused, in the user's words, and its bench."""
+    return f"{_COMMANDS.get(verb, verb)} of bench {bench}"
 
 
 def _accepted_in(verb: Verb) -> str:

@@ -44,6 +44,7 @@ from bench.store.records import (
     ShotExclusion,
     ShotNote,
     Standing,
+    amendment,
 )
 
 _Answer = TypeVar("_Answer")
@@ -169,7 +170,7 @@ class CampaignStore:
         def work(connection: Connection) -> None:
             connection.execute(select(CAMPAIGNS.c.id).where(CAMPAIGNS.c.id == campaign).with_for_update())
             if connection.scalar(issues) != number - 1:
-                action = "See that report. Amend it with golfbench campaign report --issue --reason TEXT."
+                action = f"See that report. Amend it: {amendment(campaign)}."
                 found, expected = f"report R{number} issued meanwhile", "one issue at a time"
                 raise Refused(f"campaign {campaign}", found, expected, action)
             connection.execute(insert(EVENTS).values(campaign=campaign, **issue._asdict()))

@@ -37,6 +37,11 @@ def state_text(state: str, reason: str) -> str:
     return reason if reason.startswith(state) else f"{state}: {reason}" if reason else state
 
 
+def amendment(campaign: str) -> str:
+    """Return the command that issues the report of `campaign` again."""
+    return f"golfbench campaign report {campaign} --issue --reason TEXT"
+
+
 ENDED = frozenset({CampaignState.ABORTED, CampaignState.FINISHED})
 """Final states."""
 

@@ -109,11 +109,6 @@ ISSUE = "issue"
 """Kind of an event: the report was issued."""
 
 
-def amendment(campaign: str) -> str:
-    """Return the command that issues the report of `campaign` again."""
-    return f"golfbench campaign report {campaign} --issue --reason TEXT"
-
-
 @dataclass(frozen=True)
 class CampaignRecord:
     """A campaign as stored in the database."""

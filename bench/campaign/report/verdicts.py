@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.campaign.plan.plan import FLOWN, NAMES, CampaignPlan, levels
 from bench.campaign.report.preview import series_words
-from bench.campaign.report.report_format import MPH, DisplayUnit, UnitSystem, display_unit
+from bench.campaign.report.report_format import MPH, DisplayUnit, UnitSystem, display_unit, two_digits
 from bench.campaign.statistics.analysis import Comparison, Covariates, Pair, SectionAnalysis
 from bench.campaign.statistics.block_model import Repeatability, successive_scatter
 from bench.campaign.statistics.sample_size import SeriesSize, series_needed
@@ -302,7 +302,7 @@ def _size_in(size: float, unit: DisplayUnit) -> str:
 
 def _sd(value: float) -> str:
     """Return a standard deviation with two decimals; a small one with two significant digits."""
-    return f"{value:.2f}" if value >= 0.1 or not value else f"{value:.2g}"
+    return f"{value:.2f}" if value >= 0.1 or not value else two_digits(value)
 
 
 def _signed(value: float) -> str:

@@ -227,7 +227,8 @@ def exclude(
 
     A running campaign does not repeat it.
     """
-    from bench.campaign.report.campaign_record import ISSUE, amendment, exclude_shot
+    from bench.campaign.report.campaign_record import ISSUE, exclude_shot
+    from bench.store.records import amendment
 
     with found_campaign(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)

@@ -153,11 +153,11 @@ def require_picture(plot: Path | None) -> None:
 
 def require_folder(name: str, file: Path | None) -> None:
     """Raise BenchError unless the folder of `file`, the value of option `name`, is there: before any work."""
+    from bench.records.telemetry.atomic_file import NotStored
+
     if file is not None and not file.parent.is_dir():
         action = "Make the folder, or name a file in another one."
-        fault = BenchError(name, str(file), f"a file in a folder that exists, not {file.parent}", action)
-        fault.exit_code = ExitCode.FILE
-        raise fault
+        raise NotStored(name, str(file), f"a file in a folder that exists, not {file.parent}", action)
 
 
 Processes = Annotated[int, option("Number of processes; 0: one per core.", low=0)]

@@ -187,9 +187,12 @@ def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
         yield from _pages(below, *path, name)
 
 
-@pytest.mark.parametrize(
+each_page = pytest.mark.parametrize(
     ("path", "command"), [pytest.param(*page, id=" ".join(page[0])) for page in _pages(command_line())]
 )
+
+
+@each_page
 def test_help_page_shows_complete_texts(
     path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -208,9 +211,7 @@ def test_help_page_shows_complete_texts(
     assert "[[" not in shown
 
 
-@pytest.mark.parametrize(
-    ("path", "command"), [pytest.param(*page, id=" ".join(page[0])) for page in _pages(command_line())]
-)
+@each_page
 def test_help_page_of_80_columns_has_each_option(
     path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
