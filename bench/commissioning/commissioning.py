@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError, Refused
 from bench.calibration.calibration import SeenInputs
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
@@ -42,7 +43,6 @@ from bench.commissioning.swings.robot_swings import LIMITS, with_following_limit
 from bench.commissioning.swings.speed_ramp import LEARNING, SWINGS
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot
 from bench.config import Configuration
-from bench.records.telemetry.atomic_file import atomic_file
 from bench.supervisor.ownership import try_lock
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
@@ -370,7 +370,8 @@ def _measured(
             return step.measure(machine, known), stalls
         except Stalled as stall:
             if len(stalls) == _REPEATS:
-                raise
+                found = f"{stall.found}; it was repeated {_REPEATS} times"
+                raise Stalled(stall.location, found, stall.expected, stall.action) from None
             stalls = (*stalls, f"repeated: {stall.found}")
             progress(f"{step.title}: {stalls[-1]}")
 

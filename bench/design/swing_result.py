@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.lifecycle import Phase
-from bench.records.shot.plot_style import COLOURS, GREY, INK, styled
+from bench.records.shot.plot_style import COLOURS, GREY, INK, save_picture, styled
 from bench.records.telemetry.recorder import write_swing
 from bench.simulation.simulated_bench import SwingResult
 from drivers.base import ACTUATORS, CHAMBERS, JOINTS
@@ -86,13 +86,13 @@ def write_outcome(folder: Path, result: SwingResult, metadata: Mapping[str, Any]
     """Write `swing.parquet` and `tracking.png` into `folder`, which is made, and return their paths.
 
     Raises:
-        BenchError: the record cannot be written.
-        OSError: the folder cannot be made, or the picture not be written.
+        NotStored: record or picture cannot be written.
+        OSError: the folder cannot be made.
     """
     folder.mkdir(parents=True, exist_ok=True)
     record, picture = folder / "swing.parquet", folder / "tracking.png"
     write_swing(record, result.cycles, metadata)
-    tracking(result.cycles).savefig(picture, dpi=130)
+    save_picture(tracking(result.cycles), picture)
     return record, picture
 
 

@@ -16,11 +16,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError
 from bench.base.from_toml import read_toml
 from bench.base.to_toml import toml_value
 from bench.golfer.roles import Array, Capture, Orientation, Roles
-from bench.records.telemetry.atomic_file import atomic_file
 
 STEP = 0.001
 """Time between rows (s)."""

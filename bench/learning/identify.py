@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError, Refused
 from bench.base.lifecycle import Phase
 from bench.base.to_toml import toml_value
 from bench.config import Configuration
 from bench.control.measured_plant import value_at
-from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.swing_metadata import read_profile
 from bench.simulation.plant_variation import Variation

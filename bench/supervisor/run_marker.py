@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError
-from bench.records.telemetry.atomic_file import atomic_file
 
 
 class RunMarker:

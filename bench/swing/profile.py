@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError, did_you_mean
 from bench.base.from_toml import MAX_FINITE, format_value, read_toml
 from bench.base.json_schema import require_fit
@@ -357,7 +358,7 @@ def save_profile(path: Path, profile: Profile) -> Path:
     """Write `profile` as TOML to `path` and its table to the same folder; return the table's path.
 
     Raises:
-        OSError: a file cannot be written.
+        NotStored: a file cannot be written.
     """
     table = path.with_suffix(".parquet") if path.suffix == ".toml" else Path(f"{path}.parquet")
     content = encode_table({key: getattr(profile, key) for key in DIGITS}, profile.blind_spacing)
@@ -366,8 +367,10 @@ def save_profile(path: Path, profile: Profile) -> Path:
         f"table = {toml_value(table.name)}",
         f'table_sha256 = "{sha256(content).hexdigest()}"',
     )
-    table.write_bytes(content)
-    path.write_text("\n".join([*_head(profile, SCHEMA), *beside, *_tail(profile)]) + "\n", encoding="utf-8")
+    text = "\n".join([*_head(profile, SCHEMA), *beside, *_tail(profile)]) + "\n"
+    for file, stored in ((table, content), (path, text.encode())):
+        with atomic_file(file) as stream:
+            stream.write(stored)
     return table
 
 

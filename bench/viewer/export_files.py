@@ -43,9 +43,9 @@ import pyarrow.csv as pc
 from mcap.writer import CompressionType, Writer
 from scipy.io import savemat
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
-from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.cycle_record import (
     ENUMERATIONS,
     FIELDS,

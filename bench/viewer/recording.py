@@ -24,11 +24,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from bench.base.atomic_file import NotStored, atomic_path
 from bench.golfer.golfer_file import GolferSwing
 from bench.records.shot.recorded_shot import recorded_shot
 from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING, time_at_ball
-from bench.records.telemetry.atomic_file import NotStored, atomic_path
 from bench.records.telemetry.cycle_record import FIELDS
 from bench.records.telemetry.recorder import SwingRecord
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint

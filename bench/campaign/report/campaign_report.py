@@ -10,6 +10,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+from bench.base.atomic_file import atomic_file
 from bench.campaign.interruptions import software_versions
 from bench.campaign.plan.carry import measured_of
 from bench.campaign.plan.plan import NAMES, levels
@@ -67,7 +68,6 @@ from bench.campaign.statistics.analysis import Level, SectionAnalysis
 from bench.campaign.statistics.control_chart import MIN_VALUES, NELSON
 from bench.records.shot.plot_style import marker_svg
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.telemetry.atomic_file import atomic_file
 from bench.store.records import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
 
 _ALL_ROWS = 1000

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError
 from bench.campaign.interruptions import RunStart, duration_text, found_at_begin
 from bench.campaign.plan.bench_setup import Fitting, Preparation, fitting_after, missing, sample_for
@@ -25,7 +26,6 @@ from bench.campaign.run.corrections import DriftDetector
 from bench.campaign.run.shot_source import Operator, ShotPostponed, ShotSource, Suspended, Taken, Watcher
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.recorder import write_swing
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked

@@ -184,7 +184,7 @@ def _writable(path: Path) -> Path:
     Raises:
         NotStored: it cannot.
     """
-    from bench.records.telemetry.atomic_file import NotStored
+    from bench.base.atomic_file import NotStored
 
     try:
         with path.open("wb"):

@@ -100,13 +100,13 @@ def report(
     With --issue the report of a finished campaign gets a number, also each amendment; it is stored next to
     the report as report-R1.html.
     """
+    from bench.base.atomic_file import atomic_file
     from bench.campaign.report.campaign_record import load_record, note_look
     from bench.campaign.report.campaign_report import render_campaign_report
     from bench.campaign.report.findings import findings, findings_record
     from bench.campaign.report.report_format import UnitSystem
     from bench.campaign.report.report_tables import issue_report
     from bench.campaign.run.campaign_control import standing_now
-    from bench.records.telemetry.atomic_file import atomic_file
 
     if issue and json_:
         action = "Issue the report, then print its figures without --issue."

@@ -269,12 +269,12 @@ def _run(
     by: str,
 ) -> None:
     """Run `entry` and print the outcome."""
+    from bench.base.atomic_file import atomic_file
     from bench.campaign.plan.plan_file import plan_from_record
     from bench.campaign.report.campaign_record import load_record, note_look
     from bench.campaign.report.campaign_report import write_campaign_report
     from bench.campaign.report.findings import findings, findings_record
     from bench.commands.campaign.campaign_baseline import check_baseline, junit_xml
-    from bench.records.telemetry.atomic_file import atomic_file
     from bench.store.records import CampaignState
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")

@@ -21,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.address import free_port
+from bench.base.atomic_file import NotStored
 from bench.base.errors import Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.campaign.plan.plan import CampaignPlan
@@ -41,7 +42,6 @@ from bench.config import Configuration, database_url
 from bench.network.client import BenchClient
 from bench.records.shot.recorded_shot import read_shot
 from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
-from bench.records.telemetry.atomic_file import NotStored
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignEntry, CampaignState

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError, ExitCode
 
 if TYPE_CHECKING:
@@ -153,8 +154,6 @@ def require_picture(plot: Path | None) -> None:
 
 def require_folder(name: str, file: Path | None) -> None:
     """Raise BenchError unless the folder of `file`, the value of option `name`, is there: before any work."""
-    from bench.records.telemetry.atomic_file import NotStored
-
     if file is not None and not file.parent.is_dir():
         action = "Make the folder, or name a file in another one."
         raise NotStored(name, str(file), f"a file in a folder that exists, not {file.parent}", action)

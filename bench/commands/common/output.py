@@ -31,7 +31,7 @@ def console_of(piped_width: int) -> Console:
 
 def write_text(text: str, output: Path | None) -> None:
     """Write `text` whole to the file `output`, or to standard output without one."""
-    from bench.records.telemetry.atomic_file import atomic_file
+    from bench.base.atomic_file import atomic_file
 
     if output is None:
         return typer.echo(text, nl=False)

@@ -195,8 +195,8 @@ def _write_robot(
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
     """Write robot.toml, with the limits of `following` errors of its swing once that is designed."""
+    from bench.base.atomic_file import atomic_file
     from bench.commissioning.robot_file import robot_file
-    from bench.records.telemetry.atomic_file import atomic_file
 
     made = datetime.now(UTC).date()
     with atomic_file(file) as stream:
@@ -330,8 +330,8 @@ def _loads(machine: SimulatedMachine) -> str:
 
 def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
     """Write the report of the steps done so far."""
+    from bench.base.atomic_file import atomic_file
     from bench.commissioning.robot_file import commissioning_report
-    from bench.records.telemetry.atomic_file import atomic_file
 
     with atomic_file(state.folder / "report.html") as stream:
         stream.write(commissioning_report(state, nominal, datetime.now(UTC)).encode())

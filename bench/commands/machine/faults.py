@@ -118,8 +118,8 @@ def run(
 
 
 def _write(folder: Path, summary: dict[str, Any]) -> None:
+    from bench.base.atomic_file import atomic_file
     from bench.faults.summary import summary_text
-    from bench.records.telemetry.atomic_file import atomic_file
 
     page = matrix_page(summary, summary.get("comparison"))
     for name, text in {"matrix.json": summary_text(summary), "matrix.html": page}.items():

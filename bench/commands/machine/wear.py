@@ -117,6 +117,7 @@ def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
     import numpy as np
 
     from bench.commissioning.swings.wear import swing_wear, wear_plot, worn_parts
+    from bench.records.shot.plot_style import save_picture
     from bench.records.telemetry.recorder import read_swing
 
     chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _MAX_FITTED)).round().astype(int))
@@ -130,7 +131,7 @@ def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
                 return []
             show(done + 1)
     if plot is not None:
-        wear_plot(swings, (chosen + 1).tolist()).savefig(plot, dpi=150)
+        save_picture(wear_plot(swings, (chosen + 1).tolist()), plot)
     return worn_parts(swings)
 
 

@@ -86,8 +86,9 @@ def import_(
     path = save_golfer(output, title, swing, capture, roles)
     if plot is not None:
         from bench.golfer.golfer_plot import golfer_plot
+        from bench.records.shot.plot_style import save_picture
 
-        golfer_plot(swing, f"{title}, {capture.path.name}").savefig(plot, dpi=150)
+        save_picture(golfer_plot(swing, f"{title}, {capture.path.name}"), plot)
     figures, beyond = summary(swing), beyond_ranges(plant, swing.angle[swing.downswing])
     if json_:
         source = {"golfer": str(path), "source_sha256": capture.digest}
@@ -130,8 +131,9 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
     rows = [compare_motions(*pair) for pair in pairs]
     if plot is not None and rows:
         from bench.golfer.golfer_plot import comparison_plot
+        from bench.records.shot.plot_style import save_picture
 
-        comparison_plot(rows).savefig(plot, dpi=150)
+        save_picture(comparison_plot(rows), plot)
     if json_:
         return show_json([_record(row) for row in rows])
     console = console_of(PIPED_WIDTH)

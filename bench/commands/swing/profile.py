@@ -210,9 +210,9 @@ def limits(
     Draws robots within their tolerances, swings and stops each without a fault, and sets the limits above all
     their deviations. Minutes.
     """
+    from bench.base.atomic_file import atomic_path
     from bench.control.residual_thresholds import save_limits
     from bench.design.threshold_generation import make_limits
-    from bench.records.telemetry.atomic_file import atomic_path
     from bench.simulation.series import Bench
     from bench.supervisor.readiness import assess_bench
     from bench.swing.library import PROFILES
@@ -380,11 +380,12 @@ def draw(profile: Profile, plant: PlantParameters, path: Path) -> None:
 
     Raises:
         ValueError: no picture format has that suffix.
-        OSError: `path` cannot be written.
+        NotStored: `path` cannot be written.
     """
     import numpy as np
     from matplotlib.figure import Figure
 
+    from bench.records.shot.plot_style import save_picture
     from bench.swing.motion import Motion, phase_times
     from drivers.base import ACTUATORS
 
@@ -416,7 +417,7 @@ def draw(profile: Profile, plant: PlantParameters, path: Path) -> None:
     axes[0].set_title(f"{profile.name}: {profile.text}", loc="left", fontsize=10)
     axes[3].set_xlabel("time, s; dashed: planned contact; grey: phases")
     axes[3].set_xlim(0.0, profile.duration)
-    figure.savefig(path, dpi=110)
+    save_picture(figure, path)
 
 
 def check_table(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> Table:

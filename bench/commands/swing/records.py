@@ -169,8 +169,9 @@ def compare(
     at_ball = clocks(*courses)[2]
     if plot is not None:
         from bench.records.shot.overlay import overlay_plot
+        from bench.records.shot.plot_style import save_picture
 
-        overlay_plot(*courses).savefig(plot, dpi=150)
+        save_picture(overlay_plot(*courses), plot)
     if json_:
         shown = [{name: finite(value) for name, value in row._asdict().items()} for row in rows]
         return show_json({"first": first, "second": second, "aligned_at_ball": at_ball, "differences": shown})

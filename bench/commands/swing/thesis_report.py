@@ -18,6 +18,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from bench.commands.common.output import plain_table, write_text
+from bench.records.shot.plot_style import save_picture
 from bench.swing.thesis_experiment import (
     ADDRESS_ROD,
     DERIVATIVE,
@@ -157,7 +158,7 @@ def as_record(experiment: ThesisExperiment, others: Others) -> dict[str, Any]:
     }
 
 
-def draw(experiment: ThesisExperiment, path: Path | str) -> None:
+def draw(experiment: ThesisExperiment, path: Path) -> None:
     """Draw the thesis' figures 17 to 20 as one picture; the suffix of `path` is its format."""
     figure = Figure(figsize=(20, 10), layout="constrained")
     signals, paths = figure.subfigures(1, 2, squeeze=False, width_ratios=(2.2, 1), wspace=0.02)[0]
@@ -192,7 +193,7 @@ def draw(experiment: ThesisExperiment, path: Path | str) -> None:
     title = f"The thesis' experiment, run again — {'stable' if s.stable else 'UNSTABLE'}; {found}"
     figure.suptitle(title, fontsize=16, fontweight="bold")
     figure.supxlabel("\n".join(assumptions(e)), fontsize=10, x=0.01, ha="left")
-    figure.savefig(path, dpi=100)
+    save_picture(figure, path)
 
 
 def _draw_effort(axes: Axes, experiment: ThesisExperiment, row: int) -> None:

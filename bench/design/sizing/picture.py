@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from bench.design.sizing.study import SizedPoint, non_dominated
-from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
+from bench.records.shot.plot_style import COLOURS, GREY, STYLE, save_picture, styled
 
 
 def draw_front(points: Sequence[SizedPoint], speed: float, path: Path) -> None:
@@ -51,4 +51,4 @@ def draw_front(points: Sequence[SizedPoint], speed: float, path: Path) -> None:
         axes.set_xlabel("price, upper ends of the parts' classes (assumed), EUR")
         axes.set_ylabel("head speed at the ball, m/s")
         axes.legend(loc="lower right")
-        figure.savefig(path, dpi=150)
+        save_picture(figure, path)

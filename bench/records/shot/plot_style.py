@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -13,6 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
 from matplotlib.markers import MarkerStyle
 from matplotlib.text import Text
+
+from bench.base.atomic_file import atomic_file
 
 COLOURS = (
     "#0072B2",
@@ -86,6 +89,16 @@ def marker_svg(index: int) -> str:
         '<svg class="swatch" viewBox="-.62 -.62 1.24 1.24" aria-hidden="true" focusable="false">'
         f'<path d="{shapes}" fill="{colour_of(index)}"/></svg>'
     )
+
+
+def save_picture(figure: Figure, path: Path) -> None:
+    """Write `figure` to `path`, whole or not at all; the suffix is the format.
+
+    Raises:
+        NotStored: the file cannot be written.
+    """
+    with atomic_file(path) as stream:
+        figure.savefig(stream, format=path.suffix[1:].lower(), dpi=150)
 
 
 def to_svg(figure: Figure, name: str) -> str:

@@ -19,7 +19,7 @@ from math import degrees, isfinite, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.records.telemetry.atomic_file import atomic_file
+from bench.base.atomic_file import atomic_file
 
 if TYPE_CHECKING:
     import numpy as np

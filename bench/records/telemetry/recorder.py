@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError
-from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.cycle_record import (
     CYCLE,
     ENUMERATIONS,

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.records.telemetry.atomic_file import atomic_file
+from bench.base.atomic_file import atomic_file
 from sim.robot import Body, Club
 from sim.vectors import Vector
 

@@ -35,8 +35,8 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bench.base.atomic_file import atomic_file, atomic_path
 from bench.base.errors import BenchError
-from bench.records.telemetry.atomic_file import atomic_file, atomic_path
 from bench.viewer.drawing.bodies import (
     Bar,
     Colour,

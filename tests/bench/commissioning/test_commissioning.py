@@ -125,7 +125,7 @@ def test_commission_stalled_step_is_repeated_at_most_nine_times(
     late, stuck = _Found("late", stalls=3), _Found("stuck", stalls=20)
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (late, stuck))
     state = begin(tmp_path, configuration, simulated=True, resume=False)
-    with pytest.raises(Stalled, match="stall 10"):
+    with pytest.raises(Stalled, match="stall 10; it was repeated 9 times"):
         _run(state, configuration)
     (done,) = read_state(tmp_path).done
     assert done.notes == ("done", "repeated: stall 1", "repeated: stall 2", "repeated: stall 3")

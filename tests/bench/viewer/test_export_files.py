@@ -19,9 +19,9 @@ from mcap.reader import make_reader
 from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
+from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
-from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
 from bench.records.telemetry.recorder import SwingRecord, read_swing, write_swing
 from bench.viewer.export_files import (

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from bench.base.atomic_file import NotStored
 from bench.base.lifecycle import Phase
 from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING
-from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.drawing.drawing import ball_at_rest, body_poses, draw, plane_to_golf
 from bench.viewer.recording import layout_for, swing_span, write_recording

@@ -20,6 +20,7 @@ from typing import Any
 import pytest
 from sqlalchemy import make_url
 
+from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError, Refused
 from bench.campaign.interruptions import RunStart, changed
 from bench.campaign.plan.bench_setup import sample_for
@@ -41,7 +42,6 @@ from bench.campaign.run.runner_control import (
 from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Taken, Watcher
 from bench.config import Configuration, database_url, load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.recorder import read_swing, write_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore

@@ -18,6 +18,7 @@ import pytest
 from markupsafe import escape
 from typer.testing import CliRunner, Result
 
+from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.campaign.plan.plan_file import campaign_names, load_plan
 from bench.campaign.plan.shot_sequence import all_trials
@@ -33,7 +34,6 @@ from bench.campaign.run.simulated_shots import BEGIN
 from bench.commands.campaign import campaign_run
 from bench.commands.cli import app, main
 from bench.config import database_url, load_configuration
-from bench.records.telemetry.atomic_file import NotStored
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError
 from bench.commands.cli import app
-from bench.records.telemetry.atomic_file import NotStored
 
 TWO = ("--compare", "ball", "--ball", "tour", "--ball", "range", "--club", "driver")
 SIZES = ("--difference", "2", "--sd", "1")

@@ -15,13 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
+from bench.base.atomic_file import NotStored
 from bench.base.errors import ExitCode
 from bench.commands.campaign.demo import new_folder, run_demo
 from bench.commands.cli import main
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
-from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.recorder import read_swing
 from bench.swing.library import find_profile
 from tests.bench.records.shot.read_shots import read_shot_table

@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from bench.base.atomic_file import NotStored, atomic_file
 from bench.base.errors import BenchError
-from bench.records.telemetry.atomic_file import NotStored, atomic_file
 from bench.records.telemetry.cycle_record import CYCLE, SCHEMA_VERSION
 from bench.records.telemetry.recorder import METADATA_KEY, read_swing, record_files, write_swing
 
