@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias, cast
 
 import typer
 from typer.core import TyperGroup
+from typer.exceptions import TyperException
 from typer.models import CommandInfo, TyperInfo
 
 from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode
@@ -248,15 +249,15 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line with `arguments` (those of the process by default) and exit with its code."""
     accept_any_text()
     session = Session()
-    work = partial(command_line().main, args=arguments, prog_name="golfbench", obj=session)
-    leave(report_errors(work, session))
+    line = partial(command_line().main, args=arguments, prog_name="golfbench", obj=session)
+    leave(report_errors(partial(line, standalone_mode=not _for_programs()), session))
 
 
 def report_errors(work: Callable[[], object], session: Session) -> int:
     """Do the `work` of a command; print its error, and return its exit code."""
-    code: int | str | None = ExitCode.OK
+    code: object = ExitCode.OK
     try:
-        work()
+        code = work()
     except SystemExit as ended:
         code = ended.code
     except KeyboardInterrupt:
@@ -268,14 +269,19 @@ def report_errors(work: Callable[[], object], session: Session) -> int:
             traceback.print_exception(error)
         texts, code = explain(error)
         print(*texts, sep="\n", file=sys.stderr)
-    return int(code or 0)
+    return code if isinstance(code, int) else ExitCode.OK
+
+
+def _for_programs() -> bool:
+    """Return whether errors are printed for programs."""
+    return os.environ.get(FOR_PROGRAMS) == "json"
 
 
 def explain(error: Exception) -> tuple[list[str], ExitCode]:
     """Return the messages for `error`, of a group those of its errors and its own, and the exit code."""
     from drivers.base import DriverError
 
-    for_programs = os.environ.get(FOR_PROGRAMS) == "json"
+    for_programs = _for_programs()
     match error:
         case ExceptionGroup():
             parts = [explain(part) for part in error.exceptions]
@@ -292,6 +298,13 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
                 f"  expected: {error.expected}",
             )
             return ["\n".join((*lines, f"  action:   {error.action}"))], error.exit_code
+        case TyperException():
+            action = "See golfbench COMMAND --help."
+            found = error.format_message() or "no command"
+            return explain(BenchError("command line", found, "valid usage", action))
+        case DriverError() if for_programs:
+            action = "Check cable, power, driver and port."
+            return explain(_failure("device", str(error), "a device that works", action, ExitCode.DEVICE))
         case DriverError():
             return [f"error: {error}"], ExitCode.DEVICE
         case FileNotFoundError() if not _has_working_directory():
@@ -301,6 +314,12 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
             return explain(_unusable(os.fsdecode(error.filename), error))
         case OSError(errno=errno.ENOSPC | errno.EDQUOT | errno.EIO | errno.EROFS):
             return explain(_unusable("standard output or a file", error))
+        case _ if for_programs:
+            found, action = (
+                f"{type(error).__name__}: {error}",
+                "Report it with the output of golfbench --debug.",
+            )
+            return explain(_failure("internal error", found, "none", action, ExitCode.INTERNAL))
         case _:
             cause = f"internal error: {type(error).__name__}: {error}"
             return [
@@ -310,8 +329,12 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
 
 def _unusable(location: str, error: OSError) -> BenchError:
     expected, action = "a file or folder that can be used", "Check path, rights and disk space."
-    fault = BenchError(location, error.strerror or str(error), expected, action)
-    fault.exit_code = ExitCode.FILE
+    return _failure(location, error.strerror or str(error), expected, action, ExitCode.FILE)
+
+
+def _failure(location: str, found: str, expected: str, action: str, code: ExitCode) -> BenchError:
+    fault = BenchError(location, found, expected, action)
+    fault.exit_code = code
     return fault
 
 

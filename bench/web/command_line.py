@@ -133,8 +133,7 @@ def fault_of(location: str, code: int, text: str) -> BenchError:
             return BenchError(faults[0].location, found, faults[0].expected, action)
         found = "; ".join(f"{one.location}: {one.found}, expected {one.expected}" for one in faults)
         return BenchError(location, _cut(found), "a valid input", action)
-    lines = [line.strip(" │╭╰─╮╯") for line in text.strip().splitlines()]
-    said = next((line for line in reversed(lines) if line), "")
+    said = text.strip().rpartition("\n")[2]
     action = "See it at the command line."
     return BenchError(location, f"exit code {code}{f': {_cut(said)}' if said else ''}", "exit code 0", action)
 

@@ -294,6 +294,22 @@ def test_main_error_for_programs_prints_json_lines(
     assert printed == [BAD_PRESSURE.record(), BAD_KEY.record()]
     assert run(NotADirectoryError(20, "Not a directory", "data")) == ExitCode.FILE
     assert json.loads(capsys.readouterr().err)["location"] == "data"
+    assert run(DriverError("canopen: no such link")) == ExitCode.DEVICE
+    assert json.loads(capsys.readouterr().err)["found"] == "canopen: no such link"
+    assert run(ZeroDivisionError("1/0")) == ExitCode.INTERNAL
+    assert json.loads(capsys.readouterr().err)["location"] == "internal error"
+
+
+@pytest.mark.parametrize("arguments", [[], ["nonsense"], ["arm", "--nonsense"], ["campaign", "run"]])
+def test_main_usage_error_for_programs_is_json_line(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(FOR_PROGRAMS, "json")
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == ExitCode.BAD_INPUT
+    fault = json.loads(capsys.readouterr().err)
+    assert (fault["location"], bool(fault["found"])) == ("command line", True)
 
 
 def test_debug_option_prints_traceback(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
