@@ -49,8 +49,8 @@ def stall_note(
 
     `cycles` (n,) of CYCLE end with the record in which the stop begins. Without a reading for
     `encoder_timeout` (s) an encoder is lost; the loop's `period` is in s. A loop that stands still misses
-    the readings of all three, and so does one whose simulated robot or bus does: a cable or its plug loses
-    one.
+    the readings of all three, and so does one whose simulated robot or bus does, one of them perhaps a tick
+    earlier: a cable or its plug loses one.
     """
     if cause is Cause.DEVICE_PASSIVE:
         return fault
@@ -63,8 +63,7 @@ def stall_note(
     lost, jump = last["encoder_valid"] == 0, homing or cause in _JUMPS
     # A moving joint is elsewhere after a single missed tick; contacts with the stops are found more slowly.
     least = period if cause in _JUMPS else encoder_timeout / 2
-    late = np.all(lost | (last["encoder_age"] >= least + period), axis=1).any()
-    missing = np.all(lost[-1] | (last["encoder_age"][-1] >= encoder_timeout))
+    late = np.all(lost | (last["encoder_age"] >= least + period), axis=1)
     gap = float(last["measured_step"].max())
     if gap - period >= least:
         when = "while homing" if homing else "just before"
@@ -74,7 +73,7 @@ def stall_note(
         )
     if fault and not jump:
         return fault
-    if missing or (jump and late):
+    if late[-1] or (jump and late.any()):
         return (
             f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with "
             "simulated nodes their process stood still, a stall of this machine; driver "

@@ -35,6 +35,12 @@ def test_stall_note_all_encoders_lost_names_all_three() -> None:
     assert "all three encoders were lost at once" in note(cycles)
 
 
+def test_stall_note_encoder_lost_one_tick_before_others_names_all_three() -> None:
+    cycles = records()
+    cycles["encoder_age"][-5:] += np.linspace(-0.001, 0.0033, 5)[:, None] + [0.0, 0.0, 0.001]
+    assert "all three encoders were lost at once" in note(cycles, Cause.WRIST_ENCODER)
+
+
 def test_stall_note_jump_after_stall_names_stall() -> None:
     cycles = records()
     assert note(cycles, Cause.ARM_JUMP) == ""
