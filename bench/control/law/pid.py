@@ -2,11 +2,11 @@
 
     P = kp·(reference - angle)
     I = I + ki·(reference - angle)·dt
-    D = kd·(weight·reference_velocity - velocity)
+    D = kd·(reference_velocity - velocity)
     output = clip(P + I + D + feed_forward, lowest, highest)
 
-`weight` 1 tracks a moving reference without drag, 0 is the thesis' derivative on the measurement alone.
-The velocity comes from the estimator; nothing is differentiated here.
+With the reference's velocity D does not brake a motion; the thesis' derivative lacks it. The velocity comes
+from the estimator; nothing is differentiated here.
 
 Anti-windup is conditional integration: a step of the integral may bring the output to its limit, but
 not beyond, and the integral outside lowest…highest only back. Back-calculation is not used: it needs an
@@ -32,13 +32,12 @@ from drivers.base.compiled import compiled, new_record
 PID_PARAMETERS = np.dtype(
     [
         *GAIN_TABLE_FIELDS,
-        ("reference_velocity_weight", "f8", (3,)),
         ("lowest", "f8", (3,)),
         ("highest", "f8", (3,)),
     ],
     align=True,
 )
-"""The table of gains; per actuator: weight 0…1, limits of the output."""
+"""The table of gains; per actuator: limits of the output."""
 
 PID_STATE = np.dtype(
     [
@@ -59,25 +58,14 @@ the factor carry over to the next tick; the rest is for the log and the envelope
 Values = tuple[float, float, float]
 
 
-def design_pid(
-    gains: GainTable,
-    *,
-    lowest: Values,
-    highest: Values,
-    reference_velocity_weight: Values = (1.0, 1.0, 1.0),
-) -> np.ndarray[Any, Any]:
+def design_pid(gains: GainTable, *, lowest: Values, highest: Values) -> np.ndarray[Any, Any]:
     """Return a PID_PARAMETERS record; tuples are in actuator order.
 
     Raises:
-        ValueError: a value is not finite, a gain is negative, a weight is outside 0…1 or the limits do
-            not hold zero between them.
+        ValueError: a value is not finite, a gain is negative, or the limits do not hold zero between them.
     """
     parameters = new_record(PID_PARAMETERS)
-    given: dict[str, Any] = {
-        "reference_velocity_weight": reference_velocity_weight,
-        "lowest": lowest,
-        "highest": highest,
-    }
+    given: dict[str, Any] = {"lowest": lowest, "highest": highest}
     for name, values in {**given, **gains._asdict()}.items():
         parameters[name] = values
     own = {name: gains.table[..., row, :] for row, name in enumerate(Gains._fields)}
@@ -86,8 +74,6 @@ def design_pid(
             raise ValueError(f"pid: {name} must be finite, found {values}")
         if name not in {"lowest", "highest"} and np.min(values) < 0:
             raise ValueError(f"pid: {name} must not be negative, found {np.min(values)}")
-    if max(reference_velocity_weight) > 1:
-        raise ValueError(f"pid: reference_velocity_weight must be 0…1, found {reference_velocity_weight}")
     if max(lowest) > 0 or min(highest) < 0 or np.any(np.array(lowest) == np.array(highest)):
         raise ValueError(f"pid: lowest ≤ 0 ≤ highest must hold and differ, found {lowest} and {highest}")
     return parameters
@@ -111,7 +97,7 @@ def control(
     """
     s = state[0]
     p = parameters[0]
-    _set_terms(s, p, reference, reference_velocity, angle, velocity)
+    _set_terms(s, reference, reference_velocity, angle, velocity)
     for i in range(3):
         low, high = p.lowest[i], p.highest[i]
         rest = s.proportional[i] + s.derivative[i] + feed_forward[i]
@@ -146,7 +132,6 @@ def reset_integral(state: np.ndarray[Any, Any]) -> None:
 @compiled
 def _set_terms(
     s: Any,
-    p: Any,
     reference: np.ndarray[Any, Any],
     reference_velocity: np.ndarray[Any, Any],
     angle: np.ndarray[Any, Any],
@@ -155,9 +140,7 @@ def _set_terms(
     """Set the proportional and derivative terms."""
     for i in range(3):
         s.proportional[i] = s.gains[PROPORTIONAL, i] * (reference[i] - angle[i])
-        s.derivative[i] = s.gains[DERIVATIVE, i] * (
-            p.reference_velocity_weight[i] * reference_velocity[i] - velocity[i]
-        )
+        s.derivative[i] = s.gains[DERIVATIVE, i] * (reference_velocity[i] - velocity[i])
 
 
 @compiled

@@ -56,13 +56,6 @@ def test_pid_first_step_is_exact() -> None:
     assert s["output"] == pytest.approx([0.3505, -0.4, -0.5], abs=1e-15)
 
 
-def test_pid_zero_reference_weight_derivative_uses_measurement_only() -> None:
-    parameters = designed(reference_velocity_weight=(0.0, 0.5, 1.0), derivative=(0.1, 0.1, 0.1))
-    state = begun(parameters)
-    control(state, parameters, ZERO, np.full(3, 2.0), ZERO, np.full(3, 1.0), ZERO, PERIOD)
-    assert state["derivative"][0] == pytest.approx([-0.1, 0.0, 0.1], abs=1e-15)
-
-
 def test_pid_within_limits_equals_textbook_form() -> None:
     rng = np.random.default_rng(3)
     parameters = designed(lowest=(-1e6,) * 3, highest=(1e6,) * 3)
@@ -181,7 +174,6 @@ def test_pid_compiled_equals_plain(plain: Callable[..., Any]) -> None:
     [
         ({"proportional": (np.nan, 1.0, 1.0)}, "proportional"),
         ({"integral": (-1.0, 1.0, 1.0)}, "integral"),
-        ({"reference_velocity_weight": (2.0, 1.0, 1.0)}, "weight"),
         ({"lowest": (0.5, -1.0, -1.0)}, "lowest"),
         ({"highest": (-0.5, 1.0, 1.0)}, "highest"),
         ({"lowest": (0.0, 0.0, 0.0), "highest": (0.0, 1.0, 1.0)}, "lowest"),
