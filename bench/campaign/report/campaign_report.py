@@ -10,6 +10,8 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from bench.base.atomic_file import atomic_file
 from bench.campaign.interruptions import software_versions
 from bench.campaign.plan.carry import measured_of
@@ -66,7 +68,7 @@ from bench.campaign.report.report_tables import (
 from bench.campaign.report.verdicts import confidence_words, quantity_name
 from bench.campaign.statistics.analysis import Level, SectionAnalysis
 from bench.campaign.statistics.control_chart import MIN_VALUES, NELSON
-from bench.records.shot.plot_style import marker_svg
+from bench.records.shot.plot_style import marker_svg, to_svg
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
 
@@ -106,8 +108,13 @@ def write_campaign_report(
         stream.write(text.encode())
 
 
-def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI) -> str:
-    """Return the report as HTML, all figures in `units`, as the sentences of `found` are."""
+def render_campaign_report(
+    record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI, worn: Figure | None = None
+) -> str:
+    """Return the report as HTML, all figures in `units`, as the sentences of `found` are.
+
+    `worn` is the chart of the robot's worn parts.
+    """
     if not record.shots:
         raise ValueError("a report needs at least one shot")
     plan, entry, shots = record.plan, record.entry, record.shots
@@ -152,6 +159,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         sources=_sources(shots),
         limits=_limits(record, units),
         wear=_wear(record.hits),
+        worn="" if worn is None else to_svg(worn, "worn"),
         plan_entries=flat({"plan": _plan_shown(entry)}),
         configuration=flat(used_configuration(entry, plan)),
         equipment=_equipment(record, units),

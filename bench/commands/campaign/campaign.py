@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -25,8 +25,10 @@ from bench.commands.common.command import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from bench.base.address import BenchSettings
-    from bench.store.campaigns import CampaignStore
+    from bench.store.campaigns import CampaignStore, StoredShot
     from bench.store.records import CampaignEntry
 
 app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
@@ -91,6 +93,7 @@ def report(
     issue: Annotated[bool, flag("--issue", "Issue the report: number, date and name are stored.")] = False,
     by: Annotated[str, option("Person who issues the report.", "NAME", shown="user@host")] = "",
     reason: Annotated[str, option("Reason of an amended report.", "TEXT")] = "",
+    wear: Annotated[bool, flag("--wear", "Add a chart of the robot's worn parts, from the records.")] = False,
     json_: Annotated[
         bool, flag("--json", "Print the same figures as JSON instead of writing the page.")
     ] = False,
@@ -116,6 +119,7 @@ def report(
         record = load_record(store, entry)
         if not record.shots:
             raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
+        worn = _worn_parts(store.shots(entry.id), data_dir) if wear else None
         if issue:
             issue_event = issue_report(record, by or user_name(), reason, datetime.now(UTC))
             record = replace(record, events=[*record.events, issue_event])
@@ -125,7 +129,7 @@ def report(
             return show_json({"campaign": entry.id, "findings": findings_record(found)})
         record = replace(record, standing=standing_now(data_dir, entry.id, record.standing))
         path = output or data_dir / "campaigns" / entry.id / "report.html"
-        page = render_campaign_report(record, found, UnitSystem(units)).encode()
+        page = render_campaign_report(record, found, UnitSystem(units), worn).encode()
         # Each issue keeps its page. It is stored once its pages are written, and before they are renamed.
         issued = path.parent / f"{path.stem}{record.number.removeprefix(entry.id)}{path.suffix}"
         with ExitStack() as pages:
@@ -138,6 +142,17 @@ def report(
     typer.echo(str(path))
     if issue:
         typer.echo(f"issued as {record.number}: {issued}")
+
+
+def _worn_parts(stored: Sequence[StoredShot], data_dir: Path) -> Figure:
+    """Return the chart of the robot's worn parts over the `stored` shots."""
+    from bench.commands.machine.wear import fitted_parts
+    from bench.commissioning.swings.wear import wear_plot
+
+    files = [data_dir / one.file for one in stored if one.file]
+    if not files:
+        raise BenchError("--wear", "no records of swings", "records", "Leave --wear out.")
+    return wear_plot(*fitted_parts(files))
 
 
 @app.command()

@@ -25,7 +25,7 @@ from bench.commands.common.command import (
 from bench.commands.common.output import finite, plain_table, progress_of
 
 if TYPE_CHECKING:
-    from bench.commissioning.swings.wear import PartWear
+    from bench.commissioning.swings.wear import PartWear, SwingWear
     from bench.learning.identify import Identified
     from bench.simulation.replay import Margin
 
@@ -114,25 +114,37 @@ def _print(parts: list[PartWear], due: list[PartWear], found: list[Margin], swin
 
 def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
     """Return the parts' wear over records, oldest first, and draw it; none without chamber sensors."""
+    from bench.commissioning.swings.wear import wear_plot, worn_parts
+    from bench.records.shot.plot_style import save_picture
+
+    try:
+        swings, numbers = fitted_parts(files)
+    except BenchError as error:
+        Console(stderr=True).print(str(error), style="yellow", highlight=False)
+        return []
+    if plot is not None:
+        save_picture(wear_plot(swings, numbers), plot)
+    return worn_parts(swings)
+
+
+def fitted_parts(files: Sequence[Path]) -> tuple[list[SwingWear], list[int]]:
+    """Return the changes of the parts in records, oldest first, of `_MAX_FITTED` at most, and their numbers.
+
+    Raises:
+        BenchError: a record cannot be read, has no configuration, or no pressures of the chambers.
+    """
     import numpy as np
 
-    from bench.commissioning.swings.wear import swing_wear, wear_plot, worn_parts
-    from bench.records.shot.plot_style import save_picture
+    from bench.commissioning.swings.wear import swing_wear
     from bench.records.telemetry.recorder import read_swing
 
     chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _MAX_FITTED)).round().astype(int))
     swings = []
     with progress_of("fitting parts", len(chosen)) as show:
         for done, k in enumerate(chosen.tolist()):
-            try:
-                swings.append(swing_wear(*read_swing(files[k]), str(files[k])))
-            except BenchError as error:
-                Console(stderr=True).print(str(error), style="yellow", highlight=False)
-                return []
+            swings.append(swing_wear(*read_swing(files[k]), str(files[k])))
             show(done + 1)
-    if plot is not None:
-        save_picture(wear_plot(swings, (chosen + 1).tolist()), plot)
-    return worn_parts(swings)
+    return swings, (chosen + 1).tolist()
 
 
 def _as_json(one: PartWear) -> dict[str, Any]:

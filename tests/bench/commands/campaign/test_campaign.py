@@ -74,7 +74,9 @@ def call(tmp_path: Path) -> Call:
     return run
 
 
-def test_campaign_commands_simulated_run_to_issued_and_verified_report(call: Call, tmp_path: Path) -> None:
+def test_campaign_commands_simulated_run_to_issued_and_verified_report(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     baseline = tmp_path / "baseline.toml"
     baseline.write_text('[[figure]]\npath = "sections.0.levels.tour.spread.mean"\nlow = 150\nhigh = 250\n')
     outputs = ("--report", tmp_path / "r.html", "--junit", tmp_path / "j.xml", "--check", baseline, "--json")
@@ -115,6 +117,10 @@ def test_campaign_commands_simulated_run_to_issued_and_verified_report(call: Cal
     verified = call("verify", campaign)
     assert verified.exit_code == ExitCode.OK, verified.output
     assert "\nverified: " in verified.stdout
+    monkeypatch.setattr("bench.commands.machine.wear._MAX_FITTED", 2)
+    assert call("report", campaign, "--wear").exit_code == ExitCode.OK
+    assert "wear of the robot's parts" in Path(report.stdout.strip()).read_text()
+    assert call("verify", campaign).exit_code == ExitCode.OK
     assert isinstance(call("report", campaign, "--issue", "--output", "/no/r.html").exception, NotStored)
     assert isinstance(call("report", campaign, "--output", ".").exception, NotStored)
     assert isinstance(call("report", campaign, "--issue", "--json").exception, BenchError)
