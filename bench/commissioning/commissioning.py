@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError, Refused
-from bench.calibration.calibration import SeenInputs
+from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
 from bench.commissioning.machine.inputs import OperatorIO
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
@@ -92,7 +92,7 @@ class Commissioning:
 
     folder: Path
     digest: str
-    """Digest of the configured plant."""
+    """Digest of the configured robot."""
     configuration: str
     """File of the configuration, the last of its files."""
     simulated: bool
@@ -136,7 +136,7 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
     Raises:
         BenchError: one exists already, none exists to resume, or it has another configuration.
     """
-    digest = plant_digest(configuration.plant)
+    digest = robot_digest(configuration, simulated=simulated)
     path = folder / STATE_FILE
     if not resume:
         if path.exists():
@@ -145,11 +145,13 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
         file = str(configuration.files[-1].resolve())
         return Commissioning(folder, digest, file, simulated)
     state = read_state(folder)
-    if state.digest != digest or state.simulated != simulated:
-        expected = f"the robot of {state.configuration}, {'' if state.simulated else 'not '}simulated"
+    kept = simulated or any(step.name != INPUT_CHECK.name for step in state.done)
+    if state.simulated != simulated or (state.digest != digest and kept):
+        kind = "simulated" if state.simulated else "not simulated"
+        expected = f"the robot and wiring of {state.configuration}, {kind}"
         action = "Continue with the same --config and --sim, or begin in another folder."
         raise BenchError(str(path), "another configured robot", expected, action)
-    state.wrong = None
+    state.digest, state.wrong = digest, None
     return state
 
 
@@ -186,9 +188,11 @@ def read_state(folder: Path) -> Commissioning:
         raise BenchError(str(path), str(error), "the state of a commissioning", action) from None
 
 
-def plant_digest(plant: PlantParameters) -> str:
-    """Return the digest of the configured robot."""
-    return sha256(json.dumps(asdict(plant), sort_keys=True, default=str).encode()).hexdigest()[:16]
+def robot_digest(configuration: Configuration, *, simulated: bool) -> str:
+    """Return the digest of the configured robot, unless `simulated` also of its bench and driver settings."""
+    wired = [] if simulated else [configuration.bench.id, wiring_digest(configuration)]
+    content = [asdict(configuration.plant), *wired]
+    return sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 class _CountedMachine:

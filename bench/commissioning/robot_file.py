@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from datetime import date, datetime
 from importlib.resources import files
+from pathlib import Path
 from textwrap import wrap
 
 import jinja2
@@ -47,17 +48,20 @@ def robot_file(
     made: date,
     envelope: EnvelopeSettings | None = None,
     following: Mapping[str, tuple[float, float, float]] | None = None,
+    profile: Path | None = None,
 ) -> str:
     """Return TOML of the robot in `known` over the configuration file `base`, commissioned on `made`.
 
     The limits of the supply's pressure, of `envelope`, follow the supply that was found; `following` are
-    those of following errors, by phase.
+    those of following errors, by phase. `profile` is the file of its swing.
     """
     lines = [
         f"# Commissioned on {made.isoformat()}: values with standard errors, and the steps that found them.",
         "# Not measured, as configured: " + "; ".join(GUESSES) + ".",
         f"base = {toml_value(base)}",
     ]
+    if profile is not None:
+        lines += ["", "[swing]", f"profile = {toml_value(str(profile.resolve()))}"]
     tables: dict[str, list[str]] = {}
     for key, found in _keys(known.found.values()).items():
         table, _, name = key.rpartition(".")

@@ -194,13 +194,15 @@ def _write_robot(
     envelope: EnvelopeSettings,
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
-    """Write robot.toml, with the limits of `following` errors of its swing once that is designed."""
+    """Write robot.toml, with its swing and the limits of `following` errors once that is learned."""
     from bench.base.atomic_file import atomic_file
+    from bench.commissioning.machine.step import LEARNED_FILE
     from bench.commissioning.robot_file import robot_file
 
-    made = datetime.now(UTC).date()
+    made, learned = datetime.now(UTC).date(), file.with_name(LEARNED_FILE)
+    profile = learned if following and learned.exists() else None
     with atomic_file(file) as stream:
-        stream.write(robot_file(known, state.configuration, made, envelope, following).encode())
+        stream.write(robot_file(known, state.configuration, made, envelope, following, profile).encode())
 
 
 class _Machine(NamedTuple):

@@ -141,6 +141,19 @@ def test_commissioning_resume_other_robot_is_refused(tmp_path: Path, configurati
         begin(tmp_path / "empty", configuration, simulated=True, resume=True)
 
 
+def test_commissioning_resume_other_wiring_after_measurement_is_refused(
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = replace(configuration, bench=replace(configuration.bench, id="other"))
+    begin(tmp_path, configuration, simulated=False, resume=False).save()
+    begin(tmp_path, other, simulated=False, resume=True).save()  # nothing is measured yet
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (_Found("first"),))
+    _run(begin(tmp_path, other, simulated=False, resume=True), configuration)
+    with pytest.raises(BenchError, match="another configured robot"):
+        begin(tmp_path, configuration, simulated=False, resume=True)
+    begin(tmp_path, other, simulated=False, resume=True)
+
+
 def test_folder_lock_second_lock_is_refused(tmp_path: Path) -> None:
     assert commissioning_process(tmp_path / "day") is None
     with folder_lock(tmp_path / "day"):
@@ -199,8 +212,10 @@ def test_robot_file_loads_as_configuration(tmp_path: Path, configuration: Config
     path = tmp_path / "robot.toml"
     following = configuration.envelope.max_following_error | {"top": (0.25, np.float64(0.2), 0.3)}
     base = str(shipped_configuration().resolve())
-    path.write_text(robot_file(known, base, DAY.date(), configuration.envelope, following))
+    learned = tmp_path / "learned.toml"
+    path.write_text(robot_file(known, base, DAY.date(), configuration.envelope, following, learned))
     loaded = load_configuration(path)
+    assert loaded.swing.profile == str(learned.resolve())
     assert loaded.plant == known.plant
     assert loaded.envelope.max_following_error == following
     assert "0.0123  # ± 0.0001; valves" in path.read_text()
@@ -436,6 +451,7 @@ def test_commission_drawn_robot_learns_planned_delivery(tmp_path: Path, configur
         assert load_limits(day / limits).draws == DRAWS
     # The learned swing, on the robot itself, as the plant knows it.
     known = load_configuration(day / "robot.toml")
+    assert known.swing.profile == str((day / "learned.toml").resolve())
     bench = bench_of(known, learned)
     made = Series(bench, truth).swing(learned)
     assert made.delivery is not None
