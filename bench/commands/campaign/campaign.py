@@ -151,7 +151,7 @@ def _worn_parts(stored: Sequence[StoredShot], data_dir: Path) -> Figure:
 
     files = [data_dir / one.file for one in stored if one.file]
     if not files:
-        raise BenchError("--wear", "no records of swings", "records", "Leave --wear out.")
+        raise BenchError("--wear", "no records of swings", "records", "Write the report without --wear.")
     return wear_plot(*fitted_parts(files))
 
 
