@@ -146,13 +146,14 @@ def report(
 
 def _worn_parts(stored: Sequence[StoredShot], data_dir: Path) -> Figure:
     """Return the chart of the robot's worn parts over the `stored` shots."""
-    from bench.commands.machine.wear import fitted_parts
-    from bench.commissioning.swings.wear import wear_plot
+    from bench.commands.common.output import progress_of
+    from bench.commissioning.swings.wear import MAX_FITTED, fitted_parts, wear_plot
 
     files = [data_dir / one.file for one in stored if one.file]
     if not files:
         raise BenchError("--wear", "no records of swings", "records", "Write the report without --wear.")
-    return wear_plot(*fitted_parts(files))
+    with progress_of("fitting parts", min(len(files), MAX_FITTED)) as show:
+        return wear_plot(*fitted_parts(files, show))
 
 
 @app.command()

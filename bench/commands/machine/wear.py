@@ -25,7 +25,7 @@ from bench.commands.common.command import (
 from bench.commands.common.output import finite, plain_table, progress_of
 
 if TYPE_CHECKING:
-    from bench.commissioning.swings.wear import PartWear, SwingWear
+    from bench.commissioning.swings.wear import PartWear
     from bench.learning.identify import Identified
     from bench.simulation.replay import Margin
 
@@ -39,8 +39,6 @@ _PARTS = {
     "effort": "head and shaft, or scale of the {joint} encoder",
 }
 """Sources of a residual, by comparison."""
-_MAX_FITTED = 40
-"""Swings whose parts are fitted, evenly over all of them: 1 s each."""
 _CLEAR = 0.5
 """Share of the worn change from which a part is reported as the source of its joint's residual."""
 _SHOWN = 0.25
@@ -114,37 +112,18 @@ def _print(parts: list[PartWear], due: list[PartWear], found: list[Margin], swin
 
 def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
     """Return the parts' wear over records, oldest first, and draw it; none without chamber sensors."""
-    from bench.commissioning.swings.wear import wear_plot, worn_parts
+    from bench.commissioning.swings.wear import MAX_FITTED, fitted_parts, wear_plot, worn_parts
     from bench.records.shot.plot_style import save_picture
 
     try:
-        swings, numbers = fitted_parts(files)
+        with progress_of("fitting parts", min(len(files), MAX_FITTED)) as show:
+            swings, numbers = fitted_parts(files, show)
     except BenchError as error:
         Console(stderr=True).print(str(error), style="yellow", highlight=False)
         return []
     if plot is not None:
         save_picture(wear_plot(swings, numbers), plot)
     return worn_parts(swings)
-
-
-def fitted_parts(files: Sequence[Path]) -> tuple[list[SwingWear], list[int]]:
-    """Return the changes of the parts in records, oldest first, of `_MAX_FITTED` at most, and their numbers.
-
-    Raises:
-        BenchError: a record cannot be read, has no configuration, or no pressures of the chambers.
-    """
-    import numpy as np
-
-    from bench.commissioning.swings.wear import swing_wear
-    from bench.records.telemetry.recorder import read_swing
-
-    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _MAX_FITTED)).round().astype(int))
-    swings = []
-    with progress_of("fitting parts", len(chosen)) as show:
-        for done, k in enumerate(chosen.tolist()):
-            swings.append(swing_wear(*read_swing(files[k]), str(files[k])))
-            show(done + 1)
-    return swings, (chosen + 1).tolist()
 
 
 def _as_json(one: PartWear) -> dict[str, Any]:

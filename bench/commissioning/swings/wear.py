@@ -8,7 +8,8 @@ one at which the model-based check stops fault-free swings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -22,6 +23,7 @@ from bench.commissioning.machine.step import ACTUATOR_KEYS
 from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
 from bench.control.measured_plant import value_at, with_values
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
+from bench.records.telemetry.recorder import read_swing
 from bench.simulation.replay import FEW, growth_of, settings_of
 from drivers.base import CHAMBERS, JOINTS
 from sim.plant import PlantParameters
@@ -34,6 +36,8 @@ _SMALL = 0.15
 """Changes, as shares of the prior, up to which one linearisation will do."""
 _MAX_FITTED_TIME = 5.0
 """Fitted part of a record (s): a swing, or the way to a stop."""
+MAX_FITTED = 40
+"""Records that are fitted, evenly over all of them: 1 s each."""
 _CERTAIN = 3.0
 """Standard errors by which a change has to exceed zero."""
 _MIN_SHARE = 0.05
@@ -174,6 +178,22 @@ def fitted_wear(cycles: Cycles, plant: PlantParameters) -> SwingWear:
             break
     scatter = max(float(np.mean(np.square(left))), 1.0)
     return SwingWear(values, change, prior * np.sqrt(scatter * np.diag(covariance)))
+
+
+def fitted_parts(files: Sequence[Path], progress: Callable[[int], None]) -> tuple[list[SwingWear], list[int]]:
+    """Return the changes of the parts in records, oldest first, of `MAX_FITTED` at most, and their numbers.
+
+    `progress` is given the number of fitted records.
+
+    Raises:
+        BenchError: a record cannot be read, has no configuration, or no pressures of the chambers.
+    """
+    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), MAX_FITTED)).round().astype(int))
+    swings = []
+    for done, k in enumerate(chosen.tolist(), 1):
+        swings.append(swing_wear(*read_swing(files[k]), str(files[k])))
+        progress(done)
+    return swings, (chosen + 1).tolist()
 
 
 class PartWear(NamedTuple):

@@ -117,7 +117,7 @@ def test_campaign_commands_simulated_run_to_issued_and_verified_report(
     verified = call("verify", campaign)
     assert verified.exit_code == ExitCode.OK, verified.output
     assert "\nverified: " in verified.stdout
-    monkeypatch.setattr("bench.commands.machine.wear._MAX_FITTED", 2)
+    monkeypatch.setattr("bench.commissioning.swings.wear.MAX_FITTED", 2)
     assert call("report", campaign, "--wear").exit_code == ExitCode.OK
     assert "wear of the robot's parts" in Path(report.stdout.strip()).read_text()
     assert call("verify", campaign).exit_code == ExitCode.OK
