@@ -315,10 +315,8 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
         case OSError(errno=errno.ENOSPC | errno.EDQUOT | errno.EIO | errno.EROFS):
             return explain(_unusable("standard output or a file", error))
         case _ if for_programs:
-            found, action = (
-                f"{type(error).__name__}: {error}",
-                "Report it with the output of golfbench --debug.",
-            )
+            found = f"{type(error).__name__}: {error}"
+            action = "Report it with the output of golfbench --debug."
             return explain(_failure("internal error", found, "none", action, ExitCode.INTERNAL))
         case _:
             cause = f"internal error: {type(error).__name__}: {error}"

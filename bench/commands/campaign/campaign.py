@@ -119,7 +119,6 @@ def report(
         record = load_record(store, entry)
         if not record.shots:
             raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
-        worn = _worn_parts(store.shots(entry.id), data_dir) if wear else None
         if issue:
             issue_event = issue_report(record, by or user_name(), reason, datetime.now(UTC))
             record = replace(record, events=[*record.events, issue_event])
@@ -129,6 +128,7 @@ def report(
             return show_json({"campaign": entry.id, "findings": findings_record(found)})
         record = replace(record, standing=standing_now(data_dir, entry.id, record.standing))
         path = output or data_dir / "campaigns" / entry.id / "report.html"
+        worn = _worn_parts(store.shots(entry.id), data_dir) if wear else None
         page = render_campaign_report(record, found, UnitSystem(units), worn).encode()
         # Each issue keeps its page. It is stored once its pages are written, and before they are renamed.
         issued = path.parent / f"{path.stem}{record.number.removeprefix(entry.id)}{path.suffix}"

@@ -194,7 +194,7 @@ def _write_robot(
     envelope: EnvelopeSettings,
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
-    """Write robot.toml, with its swing and the limits of `following` errors once that is learned."""
+    """Write robot.toml, with the limits of `following` errors and the learned swing once they are known."""
     from bench.base.atomic_file import atomic_file
     from bench.commissioning.machine.step import LEARNED_FILE
     from bench.commissioning.robot_file import robot_file
