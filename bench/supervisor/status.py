@@ -36,6 +36,8 @@ from bench.supervisor.child import Child
 
 _ENCODERS = (Cause.SHOULDER_ENCODER, Cause.ARM_ENCODER, Cause.WRIST_ENCODER)
 _JUMPS = (Cause.SHOULDER_JUMP, Cause.ARM_JUMP, Cause.WRIST_JUMP)
+_ROUNDING = 5e-5
+"""Rounding of the times of ticks (s)."""
 BEFORE = 20
 """Records before the stop in which a stall of the loop explains it: one that begins there ends there."""
 
@@ -50,7 +52,8 @@ def stall_note(
     `cycles` (n,) of CYCLE end with the record in which the stop begins. Without a reading for
     `encoder_timeout` (s) an encoder is lost; the loop's `period` is in s. A loop that stands still misses
     the readings of all three, and so does one whose simulated robot or bus does, one of them perhaps a tick
-    earlier: a cable or its plug loses one.
+    earlier or shorter: a cable or its plug loses one. Late is a sample older than the newest of its encoder
+    by that time: over a bus it is taken at the tick, of a polled encoder up to a tick earlier.
     """
     if cause is Cause.DEVICE_PASSIVE:
         return fault
@@ -63,7 +66,8 @@ def stall_note(
     lost, jump = last["encoder_valid"] == 0, homing or cause in _JUMPS
     # A moving joint is elsewhere after a single missed tick; contacts with the stops are found more slowly.
     least = period if cause in _JUMPS else encoder_timeout / 2
-    late = np.all(lost | (last["encoder_age"] >= least + period), axis=1)
+    older = last["encoder_age"] - last["encoder_age"].min(axis=0)
+    late = np.all(lost | (older >= least - _ROUNDING), axis=1)
     gap = float(last["measured_step"].max())
     if gap - period >= least:
         when = "while homing" if homing else "just before"
@@ -73,7 +77,7 @@ def stall_note(
         )
     if fault and not jump:
         return fault
-    if late[-1] or (jump and late.any()):
+    if late[-2:].any() or (jump and late.any()):
         return (
             f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with "
             "simulated nodes their process stood still, a stall of this machine; driver "

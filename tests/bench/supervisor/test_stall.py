@@ -41,6 +41,21 @@ def test_stall_note_encoder_lost_one_tick_before_others_names_all_three() -> Non
     assert "all three encoders were lost at once" in note(cycles, Cause.WRIST_ENCODER)
 
 
+def test_stall_note_encoder_back_in_last_tick_names_all_three() -> None:
+    cycles = records()
+    cycles["encoder_age"][-3:] += np.array([[0.003] * 3, [0.004] * 3, [0.0, 0.005, 0.005]])
+    assert "all three encoders were lost at once" in note(cycles, Cause.ARM_ENCODER)
+
+
+def test_stall_note_jump_after_one_missed_tick_names_all_three() -> None:
+    cycles = records()
+    cycles["encoder_age"] = -5e-5  # sampled at the tick, as over CANopen
+    cycles["encoder_age"][-2, 0] += 0.001
+    assert note(cycles, Cause.SHOULDER_JUMP) == "", "one encoder alone is its own"
+    cycles["encoder_age"][-2] = 0.00096
+    assert "all three encoders were late at once" in note(cycles, Cause.SHOULDER_JUMP)
+
+
 def test_stall_note_jump_after_stall_names_stall() -> None:
     cycles = records()
     assert note(cycles, Cause.ARM_JUMP) == ""
