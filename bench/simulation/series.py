@@ -65,6 +65,13 @@ class ReturnFailed(Refused):
     """The swing."""
 
 
+class ArmingFailed(Refused):
+    """The robot was stopped before it was armed."""
+
+    cycles: np.ndarray[Any, Any]
+    """CYCLE records of the last seconds."""
+
+
 def return_failed(refused: Refused, swing: SeriesSwing) -> ReturnFailed:
     """Return `refused` after `swing`."""
     error = ReturnFailed(*refused.args)

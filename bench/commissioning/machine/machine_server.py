@@ -23,7 +23,7 @@ from bench.control.settings import build_controller, with_tables_of
 from bench.control.states import near_address
 from bench.learning.live import swung_cycles
 from bench.loop.loop import Cycles, Loop
-from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, return_failed
+from bench.simulation.series import ADDRESS_TRIES, HOLD, ArmingFailed, Bench, SeriesSwing, return_failed
 from bench.simulation.swing_operator import (
     RETURN_TIMEOUT,
     SETTLING_TIMEOUT,
@@ -51,6 +51,8 @@ _FEED = 3.0
 """Time for a ball to reach the tee (s)."""
 _REPEATED = 10
 """Max tries of an arming or a swing that stalls of this machine end, or that leave gaps in the record."""
+_LAST = 5.0
+"""Duration of the records that are kept of a failed arming (s)."""
 _SWINGS, _CHUNK = 300, 10
 """Max requests for a swing, and ticks between two."""
 
@@ -76,7 +78,8 @@ class LiveSeries:
         """Reset, home and arm `bench` on `driver`; `say` calls a person, `stop` ends a motion.
 
         Raises:
-            Refused: the robot does not reach its address, or the bench refuses.
+            ArmingFailed: the robot does not reach its address, or the bench refuses.
+            Refused: it was stopped.
         """
         self.bench, self._driver, self._say = bench, driver, say
         made = build_controller(
@@ -234,16 +237,19 @@ class LiveSeries:
 
     def _arm(self) -> None:
         """Reset, home and arm, as far as it is needed; again after a stall of this machine."""
-        for _ in range(_REPEATED - 1):
+        for left in reversed(range(_REPEATED)):
             self._operator.begin_record()
             try:
                 return self._arm_once()
-            except Refused:
-                if self._operator.stop() or not (stall := self._stall()):
+            except Refused as refused:
+                if self._operator.stop():
                     raise
+                if not (left and (stall := self._stall())):
+                    error = ArmingFailed(*refused.args)
+                    error.cycles = self._operator.record()[-round(_LAST / self._operator.period) :]
+                    raise error from None
                 why = cause_text(self._operator.cause, stall)
                 self._say(f"stopped while arming: {why}; it is armed again")
-        return self._arm_once()
 
     def _arm_once(self) -> None:
         operator = self._operator

@@ -37,7 +37,7 @@ from bench.commissioning.swings.short_predictions import (
 from bench.commissioning.swings.speed_ramp import exceeded
 from bench.control.measured_plant import value_at, with_values
 from bench.simulation.loads import Loads
-from bench.simulation.series import Bench, ReturnFailed, SeriesSwing
+from bench.simulation.series import ArmingFailed, Bench, ReturnFailed, SeriesSwing
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.plant import PlantParameters
@@ -266,9 +266,17 @@ class DiagnosedRobot:
         """Diagnosis of the last swing; None before the first."""
 
     def series(self, bench: Bench) -> DiagnosedRobot:
-        """Arm `bench`, whose model is the robot as measured: the model-based check is on."""
+        """Arm `bench`, whose model is the robot as measured: the model-based check is on.
+
+        Raises:
+            Refused: the robot is not armed; its last records are stored.
+        """
         watched = bench._replace(envelope=bench.envelope.with_model_check("always"))
-        self._series, self._model = self._robot.series(watched), bench.model
+        self._model = bench.model
+        try:
+            self._series = self._robot.series(watched)
+        except ArmingFailed as error:
+            raise self._kept(error) from None
         return self
 
     def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
@@ -276,13 +284,15 @@ class DiagnosedRobot:
 
         Raises:
             MachineFault: the swing is that of another robot than the measured one, and says of which.
-            Refused: the robot does not come back.
+            Refused: the robot does not come back, or is not armed again; its last records are stored then.
         """
         try:
             made = self._series.swing(profile, ball=ball)
         except ReturnFailed as error:
             self._look_at(error.swing, profile.name)
             raise
+        except ArmingFailed as error:
+            raise self._kept(error) from None
         self._look_at(made, profile.name)
         return made
 
@@ -298,10 +308,18 @@ class DiagnosedRobot:
         self.last = diagnose(swing.cycles, self._model, self._found)
         if self.last.named is None:
             return
-        self._records.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(self._records / "wrong-swing.npz", cycles=swing.cycles)
+        self._store("wrong-swing.npz", swing.cycles)
         said = "; ".join([self.last.text, *exceeded(self._series.loads())])
         raise MachineFault(name, said, "the robot that was measured", self.last.named.cause.action)
+
+    def _store(self, name: str, cycles: Cycles) -> Path:
+        self._records.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(path := self._records / name, cycles=cycles)
+        return path
+
+    def _kept(self, error: ArmingFailed) -> Refused:
+        path = self._store("failed-arming.npz", error.cycles)
+        return Refused(error.location, f"{error.found}; records in {path}", error.expected, error.action)
 
     def explained(self, error: Refused) -> Refused:
         """Return `error` of a step with the diagnosis of the last swing, if that names no cause."""

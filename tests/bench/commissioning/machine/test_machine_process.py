@@ -22,7 +22,7 @@ import pytest
 
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
-from bench.base.lifecycle import Cause, Request
+from bench.base.lifecycle import Cause, Request, State
 from bench.commissioning.machine.inputs import OperatorIO, of_simulation
 from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment
 from bench.commissioning.machine.machine_process import (
@@ -37,7 +37,7 @@ from bench.commissioning.machine.machine_server import LiveSeries, MachineServer
 from bench.commissioning.swings.robot_swings import slowed
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration
-from bench.simulation.series import ADDRESS_TRIES
+from bench.simulation.series import ADDRESS_TRIES, ArmingFailed
 from bench.simulation.swing_operator import SwingOperator
 from bench.supervisor.ownership import take_bench
 from bench.swing.library import find_profile
@@ -250,6 +250,8 @@ def test_machine_server_arm_refused_reports_state_and_reason(
         server.obey("arm", bench_of(configuration, slow))
     assert refused.value.found == "not possible in this state, READY"
     assert refused.value.action == "follow the text, then --resume."
+    assert isinstance(refused.value, ArmingFailed)
+    assert refused.value.cycles["state"][-1] == State.READY
     server.obey("vent", 40.0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 import numba
@@ -15,8 +16,9 @@ from bench.commissioning.swings.short_predictions import RecordedSwing
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot, Diagnosis, diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
-from bench.simulation.series import Bench, ReturnFailed
+from bench.simulation.series import ArmingFailed, Bench, ReturnFailed
 from bench.swing.profile import Profile
 from tests.bench.commissioning.wrong_machines import measured_values, swung_wrongly, true_robot
 from tests.sampling import release_except
@@ -91,6 +93,23 @@ def test_diagnosed_robot_series_enables_model_check(
     parameters = armed[0].controller()
     assert parameters.model["check"][0]
     assert np.isfinite(parameters.model["air"][0, Phase.DOWNSWING]).all()
+
+
+def test_diagnosed_robot_failed_arming_stores_records(
+    configuration: Configuration, default: Profile, tmp_path: Path
+) -> None:
+    class Failing(SimulatedRobot):
+        def series(self, bench: Bench) -> SimulatedSeries:
+            error = ArmingFailed(
+                "homing", "encoder R1 jumps", "state READY", "Follow the text, then --resume."
+            )
+            error.cycles = np.zeros(7, CYCLE)
+            raise copy.copy(error)  # as another process hands it over
+
+    watched = DiagnosedRobot(Failing(configuration.plant), (), tmp_path / "records")
+    with pytest.raises(Refused, match=r"encoder R1 jumps; records in .*failed-arming\.npz"):
+        watched.series(bench_of(configuration, default))
+    assert len(np.load(tmp_path / "records" / "failed-arming.npz")["cycles"]) == 7
 
 
 def test_diagnosed_robot_unexplained_fault_reports_misfit(
