@@ -15,7 +15,7 @@ from sqlalchemy import Engine
 
 from bench.base.errors import BenchError
 from bench.calibration.archive import calibration_of, effective_calibration
-from bench.calibration.calibration import Calibration, CalibrationProblem, Entry, apply
+from bench.calibration.calibration import Calibration, Entry, apply
 from bench.campaign.plan.bench_setup import load_lists
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import all_trials, is_mounted
@@ -100,16 +100,18 @@ def calibrated(
     return replace(plan, clubs=plan.clubs | clubs), measured
 
 
-def arming_problems(
-    plan: CampaignPlan, configuration: Configuration, when: datetime
-) -> list[CalibrationProblem]:
-    """Return the calibrations that block arming at `when` with one of the plan's clubs, each once."""
-    problems = [
-        problem
-        for name in plan.design.clubs
-        for problem in _mount(plan, configuration, name, when)[1].problems(when)
-    ]
-    return list({problem.text: problem for problem in problems}.values())
+def arming_problems(plan: CampaignPlan, configuration: Configuration, when: datetime) -> list[BenchError]:
+    """Return the reasons against arming a bench at `when` with a swing and club of the plan, each once.
+
+    Raises:
+        BenchError: a profile, a calibration or limits cannot be read or applied.
+    """
+    problems = list[BenchError]()
+    for (_, club), path, profile, _ in _profiles(plan, configuration):
+        mounted, calibration = _mount(plan, configuration, club, when)
+        faults = assess(mounted, calibration, profile, path, running=True).faults
+        problems += [*faults, *calibration.problems(when)]
+    return list({str(problem): problem for problem in problems}.values())
 
 
 def _mount(

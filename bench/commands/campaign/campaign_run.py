@@ -96,7 +96,7 @@ def check(
 ) -> None:
     """Check plan and bench before anything moves; print shot order, load lists and resolution.
 
-    Exits with 2 and lists all mistakes; with 1 if a calibration blocks arming.
+    Exits with 2 and lists all mistakes; with 1 if only a calibration blocks arming.
     """
     from bench.campaign.report.preview import preview_record, show_preview
     from bench.campaign.run.plan_requirements import (

@@ -460,3 +460,23 @@ def test_campaign_check_expired_calibration_previews_and_refuses(
         add_calibration(database, settings.id, MET, date=past, expires=expires, by="test", method="rule")
     code, out, errors = golfbench("campaign", "check", "two-balls")
     assert (code, "shots in" in out, "expired on 2020-01-02" in errors) == (ExitCode.REFUSED, True, True)
+
+
+def test_campaign_check_machine_without_model_check_previews_and_refuses(golfbench: Run) -> None:
+    code, out, errors = golfbench("campaign", "check", "two-balls", more=MACHINE)
+    assert (code, "shots in" in out) == (ExitCode.BAD_INPUT, True)
+    assert (errors.count("off with a real robot"), errors.count("never calibrated")) == (1, 5)
+    code, _, errors = golfbench("campaign", "check", "two-balls", more=MACHINE + UNWATCHED)
+    assert (code, errors.count("never calibrated"), "real robot" in errors) == (ExitCode.REFUSED, 5, False)
+
+
+def test_campaign_check_machine_rewired_after_check_of_inputs_is_refused(
+    golfbench: Run, configuration: Configuration
+) -> None:
+    settings, date = configuration.bench, datetime.now(UTC)
+    with open_database(database_url("", settings.data_dir), date) as database:
+        expires = date + timedelta(days=1)
+        seen = SeenInputs(("guard",), "other wiring")
+        add_calibration(database, settings.id, seen, date=date, expires=expires, by="test", method="by hand")
+    code, _, errors = golfbench("campaign", "check", "two-balls", more=MACHINE + UNWATCHED)
+    assert (code, "with other driver settings" in errors) == (ExitCode.BAD_INPUT, True)
