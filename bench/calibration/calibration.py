@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import checked_values
-from bench.base.lifecycle import Block
+from bench.base.lifecycle import Block, Phase, State
 from bench.config import Configuration, contradictions
 from bench.records.telemetry.encoder_preset import CalibratedShifts
 from bench.records.telemetry.ring import RingReader
@@ -94,7 +94,8 @@ def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5
 
     Raises:
         NoRing: no bench runs here.
-        Refused: the control loop does not run, an encoder gives no valid reading, or a joint moves.
+        Refused: the control loop does not run, the robot is not vented, so that no person has put it in its
+            pose, an encoder gives no valid reading, or a joint moves.
     """
     reader = RingReader(ring)
     try:
@@ -107,6 +108,10 @@ def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5
     if len(cycles) < _MIN_RECORDS:
         found = f"{len(cycles)} cycles in {seconds:g} s"
         raise Refused(location, found, "a running loop", "Start `golfbench run` again.")
+    if not (cycles["vented"] & (cycles["phase"] == Phase.STANDING)).all():
+        found = f"state {State(int(cycles['state'][-1])).name}, robot not vented or in motion"
+        action = "Disarm, open the access, lock the robot at its mechanical reference, then retry."
+        raise Refused(location, found, "a vented robot at rest, as for access", action)
     middles = []
     for joint, name in enumerate(JOINTS):
         if not cycles["encoder_valid"][:, joint].all():

@@ -19,6 +19,7 @@ from bench.commands.common.command import (
     Session,
     argument,
     exit_unless,
+    flag,
     option,
     show_json,
     user_name,
@@ -71,6 +72,9 @@ Signs = Annotated[
         shown="as in force",
     ),
 ]
+Remounted = Annotated[
+    bool, flag("--remounted", "Accept zeros far from those in force: an encoder was mounted again.")
+]
 
 
 @app.command()
@@ -81,6 +85,7 @@ def encoders(
     from_pose: LockedPose = None,
     counts: Counts = None,
     sign: Signs = None,
+    remounted: Remounted = False,
     method: Method = "",
     by: By = "",
     expires_days: Days = None,
@@ -92,7 +97,7 @@ def encoders(
     from bench.calibration.calibration import zero_counts as zeros_at
 
     location = "calibrate encoders"
-    configuration = _calibrated(context)
+    nominal, configuration = context.ensure_object(Session).configuration(), _calibrated(context)
     here = configuration.plant.encoders
     sign = sign or here.sign
     content: dict[str, Any] = {
@@ -118,6 +123,8 @@ def encoders(
         content["zero_count"] = zeros_at(counts, (a, b, c), sign, here.counts_per_revolution)
     else:
         content["zero_count"] = zero_counts
+    if not remounted:
+        _require_known_zeros(content["zero_count"], sign, configuration, nominal)
     _add(
         context, CalibrationKind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_
     )
@@ -309,6 +316,33 @@ def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) ->
         if not 0 <= count < counts_per_revolution:
             location, expected = f"calibrate encoders: --counts[{i}]", f"0 to {counts_per_revolution - 1}"
             raise BenchError(location, str(count), expected, "Give the count that the encoder shows.")
+
+
+def _require_known_zeros(zeros: Three, sign: tuple[int, int, int], *known: Configuration) -> None:
+    """Raise BenchError if `zeros` are near those of no `known` configuration; default zeros are unknown."""
+    from drivers.base import JOINTS
+    from sim.plant import Encoders
+
+    faults = list[BenchError]()
+    for c in known:
+        there, turn = c.plant.encoders, c.plant.encoders.counts_per_revolution
+        if there.zero_count == Encoders().zero_count:
+            continue
+        off = [
+            abs((a - b + turn / 2) % turn - turn / 2) * 360.0 / turn
+            for a, b in zip(zeros, there.zero_count, strict=True)
+        ]
+        most = [degrees(angle) for angle in c.homing.tolerance]
+        wrong = [i for i in range(3) if off[i] > most[i] or sign[i] != there.sign[i]]
+        if not wrong:
+            return
+        (i, *_), expected = wrong, "zero and sign in force, within {:.1f} deg (homing.tolerance)"
+        found = f"zero {off[i]:.1f} deg from the present one, sign {sign[i]:+} ({there.sign[i]:+} in force)"
+        action = "Check pose, order and signs; if an encoder was mounted again, add --remounted."
+        location = f"calibrate encoders: {JOINTS[i]}"
+        faults.append(BenchError(location, found, expected.format(most[i]), action))
+    if faults:
+        raise faults[0]
 
 
 def _live_counts(configuration: Configuration) -> tuple[int, int, int]:

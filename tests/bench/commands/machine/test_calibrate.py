@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import ExitCode, Refused
+from bench.base.lifecycle import Phase, State
 from bench.calibration.calibration import standing_counts
 from bench.commands.cli import main
 from bench.records.telemetry.cycle_record import CYCLE
@@ -153,7 +154,7 @@ def test_calibrate_club_stores_length_and_lie(golfbench: Run) -> None:
 
 def test_calibrate_encoders_from_pose_computes_zero_counts_and_keeps_sign(golfbench: Run) -> None:
     golfbench("calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "5", "6.5", "-7")
-    shown = [*POSE, "--counts", "1", "20000", "131071"]
+    shown = [*POSE, "--counts", "1", "20000", "131071", "--remounted"]
     code, text, _ = golfbench("calibrate", *shown, "--sign", "1", "-1", "1", "--json")
     entry = json.loads(text)
     assert (code, entry["version"], entry["values"]["sign"]) == (0, 2, [1, -1, 1])
@@ -163,6 +164,27 @@ def test_calibrate_encoders_from_pose_computes_zero_counts_and_keeps_sign(golfbe
     # The sign in force goes on until another one is given.
     text = golfbench("calibrate", *shown, "--json")[1]
     assert json.loads(text)["values"]["sign"] == [1, -1, 1]
+
+
+@pytest.mark.parametrize(
+    ("joint", "sign", "found"),
+    [
+        (("20", "237", "350"), (), "shoulder\n  found:    zero 50.0 deg"),
+        (("-30", "237", "350"), ("1", "-1", "1"), "sign -1 (+1 in force)"),
+    ],
+    ids=["other pose", "other sign"],
+)
+def test_calibrate_encoders_zero_far_from_present_one_needs_option(
+    golfbench: Run, joint: tuple[str, ...], sign: tuple[str, ...], found: str
+) -> None:
+    counts = ["--counts", "1", "20000", "131071"]
+    assert golfbench("calibrate", *POSE, *counts)[0] == 0
+    other = [*POSE[:4], *joint, *counts, *(("--sign", *sign) if sign else ())]
+    code, _, errors = golfbench("calibrate", *other)
+    assert (code, found in errors, "--remounted" in errors) == (ExitCode.BAD_INPUT, True, True)
+    near = [*POSE[:4], "-30.5", "236.5", "350.5", *counts]
+    assert golfbench("calibrate", *near)[0] == 0
+    assert golfbench("calibrate", *other, "--remounted")[0] == 0
 
 
 def test_calibrate_encoders_stores_device_presets(golfbench: Run, tmp_path: Path) -> None:
@@ -222,11 +244,14 @@ def test_calibrate_invalid_arguments_are_refused_without_record(
 class Ticking:
     """A ring that gets new cycles while `standing_counts` sleeps."""
 
-    def __init__(self, path: Path, counts: Any, valid: bool = True) -> None:
+    def __init__(self, path: Path, counts: Any, valid: bool = True, **fields: Any) -> None:
         self.ring, self.counts, self.valid = RingWriter(path, 1024), np.asarray(counts), valid
+        self.fields = {"vented": True, "state": State.ACCESS} | fields
 
     def __call__(self, seconds: float) -> None:
         cycle = np.zeros(1, CYCLE)
+        for name, value in self.fields.items():
+            cycle[name] = value
         for count in self.counts:
             cycle["encoder_count"], cycle["encoder_valid"] = count, self.valid
             self.ring(cycle)
@@ -236,8 +261,8 @@ class Ticking:
 def ticking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     made: list[Ticking] = []
 
-    def make(counts: Any, valid: bool = True, path: Path = tmp_path / "ring") -> Path:
-        ticking = Ticking(path, counts, valid)
+    def make(counts: Any, valid: bool = True, path: Path = tmp_path / "ring", **fields: Any) -> Path:
+        ticking = Ticking(path, counts, valid, **fields)
         made.append(ticking)
         monkeypatch.setattr("bench.calibration.calibration.time.sleep", ticking)
         return path
@@ -266,6 +291,16 @@ def test_standing_counts_moving_or_invalid_readings_are_refused(
 ) -> None:
     with pytest.raises(Refused, match=text):
         standing_counts(ticking(counts, valid), 4096)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"vented": False, "state": State.ARMED}, {"phase": Phase.HOLD, "state": State.ARMED}],
+    ids=["air on", "warning before air"],
+)
+def test_standing_counts_armed_robot_is_refused(ticking: Any, fields: dict[str, Any]) -> None:
+    with pytest.raises(Refused, match="ARMED, robot not vented"):
+        standing_counts(ticking([[1, 2, 3]] * 50, **fields), 4096)
 
 
 def test_standing_counts_without_ring_raises(tmp_path: Path) -> None:
