@@ -24,6 +24,7 @@ from bench.records.telemetry.ring import RingReader
 from drivers.base import JOINTS, Triple
 from drivers.base.ranges import Range
 from sim.plant import Sign, ZeroCount
+from sim.robot import Club
 
 Coordinate = Annotated[float, Range(-3.0, 3.0, "m")]
 Centre = Annotated[float, Range(-0.2, 0.2, "")]
@@ -476,9 +477,14 @@ def _with_valves(c: Configuration, valves: ValveCentres) -> Configuration:
     return replace(c, plant=replace(c.plant, **actuators))
 
 
-_BALL_MOVED, _CLUB_MOVED = 0.15, 0.05
-"""Distances from the configured place or length beyond which a measurement is a mistake (m): a tee is moved
-by hand's breadths, a club slips in its mount by centimetres."""
+_BALL_MOVED, _CLUB_MOVED, _CLUB_TURNED = 0.15, 0.05, 6.0
+"""Distances from the configured place or length (m) and from loft or lie (deg), beyond which a measurement is
+a mistake: a tee is moved by hand's breadths, a club slips in its mount by centimetres, and lofts of a number
+differ by a few degrees between makers."""
+MAX_CENTRE, MAX_BAND = 0.06, 0.10
+"""Max offset and overlap of a valve that is right."""
+VALVE_MOVED = 0.02
+"""Change of a commissioned valve's centre or overlap from which on the valve is worn."""
 
 
 def require_plausible(values: Values, configuration: Configuration) -> None:
@@ -489,18 +495,48 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
         ExceptionGroup: BenchErrors of the configuration, which they would make inconsistent.
     """
     kind = kind_of(values)
-    corrected = _corrected(configuration, values, f"calibrate {kind}")
+    location = f"calibrate {kind}"
+    corrected = _corrected(configuration, values, location)
     match values:
         case BallPosition(x, y):
             site = configuration.plant.site
-            _require_near(
-                f"calibrate {kind}", "plant.site", hypot(x - site.ball_x, y - site.ball_y), _BALL_MOVED
-            )
-        case ClubInMount(name, length):
-            moved = abs(length - configuration.clubs[name].length_to_face)
-            _require_near(f"calibrate {kind} {name}", f"clubs.{name}.length_to_face", moved, _CLUB_MOVED)
+            _require_near(location, "plant.site", hypot(x - site.ball_x, y - site.ball_y), _BALL_MOVED)
+        case ClubInMount(name):
+            _require_club(f"{location} {name}", f"clubs.{name}", values, configuration.clubs[name])
+        case ValveCentres():
+            _require_valves(location, values, configuration)
     if faults := contradictions(corrected):
         raise ExceptionGroup(f"calibrate {kind}: invalid for this bench", faults)
+
+
+def _require_club(location: str, key: str, values: ClubInMount, club: Club) -> None:
+    """Check length, loft and lie against those configured as `club`."""
+    _require_near(
+        location, f"{key}.length_to_face", abs(values.length_to_face - club.length_to_face), _CLUB_MOVED
+    )
+    for name in ("loft", "lie"):
+        angle = degrees(getattr(values, name))
+        off = abs(angle - degrees(getattr(club, name)))
+        if off > _CLUB_TURNED:
+            found = f"{name} {angle:.3g} deg, {off:.1f} deg from {key}.{name}_deg"
+            action = f"Enter degrees, not radians; if the club is another one, correct [{key}] first."
+            raise BenchError(location, found, f"{_CLUB_TURNED:g} deg at most", action)
+
+
+def _require_valves(location: str, values: ValveCentres, c: Configuration) -> None:
+    """Check centres and overlaps against those of valves that are right, and the commissioned ones."""
+    keys = ("shoulder", "right_arm", "wrist")
+    for name, most in (("centre", MAX_CENTRE), ("dead_band", MAX_BAND)):
+        for key, joint, value in zip(keys, JOINTS, getattr(values, name), strict=True):
+            path, words = f"{key}.valve.{name}", name.replace("_", " ")
+            before = getattr(getattr(c.plant, key).valve, name)
+            if abs(value) > most:
+                expected, action = f"{most:g} at most", "Measure again, or adjust the valve by its manual."
+                raise BenchError(f"{location}: {joint}", f"{words} {value:g}", expected, action)
+            if path in c.envelope.model.standard_errors and abs(value - before) > VALVE_MOVED:
+                found = f"{words} {value:g}, commissioned as {before:.4g} (plant.{path})"
+                action = "Measure again; if the valve was cleaned or replaced, commission again."
+                raise BenchError(f"{location}: {joint}", found, f"{VALVE_MOVED:g} from it at most", action)
 
 
 def _require_near(location: str, key: str, distance: float, most: float) -> None:

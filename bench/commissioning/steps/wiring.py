@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.calibration.calibration import zero_counts
+from bench.calibration.calibration import MAX_BAND, MAX_CENTRE, zero_counts
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
 from bench.commissioning.machine.step import (
     ACTUATOR_KEYS,
@@ -67,8 +67,6 @@ _LEFT = 2e4
 """Max pressure of a chamber at the end of a ramp (Pa)."""
 _SUPPLY_SHARE = 0.8
 """Min share of the set gauge pressure."""
-MAX_CENTRE, MAX_BAND = 0.06, 0.10
-"""Max offset and overlap of a valve that is right."""
 _SCALE_TOLERANCE = 0.03
 """Max error of an encoder's travel, as a share, in addition to that of the geometry."""
 _LENGTH = 2e-3

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
+from bench.calibration.calibration import VALVE_MOVED
 from bench.commissioning.machine.machine import Array
 from bench.commissioning.machine.step import ACTUATOR_KEYS
 from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
@@ -105,8 +106,10 @@ def wearing_values(plant: PlantParameters) -> tuple[WearingValue, ...]:
         tight = f"Look for a leak of the {joint}: hoses and fittings first, then seals."
         friction = tuple(f"{key}.friction.{kind}" for kind in ("coulomb", "static", "viscous"))
         values += [
-            WearingValue(valve, "dead band", (way + "dead_band",), False, 0.02, 0.008, "%", 100.0, clean),
-            WearingValue(valve, "centre", (way + "centre",), False, 0.02, 0.005, "%", 100.0, clean),
+            WearingValue(
+                valve, "dead band", (way + "dead_band",), False, VALVE_MOVED, 0.008, "%", 100.0, clean
+            ),
+            WearingValue(valve, "centre", (way + "centre",), False, VALVE_MOVED, 0.005, "%", 100.0, clean),
             WearingValue(
                 valve, "spool speed", (way + "natural_frequency",), True, 0.3, 0.15, "%", 100.0, clean
             ),

@@ -163,6 +163,11 @@ def _controller(c: Configuration, plant: PlantParameters) -> ControlParameters:
         (ClubInMount("driver", 1.20, 0.18, 0.92, 1e-3, 1e-3), "calibrate club driver"),
         (ClubInMount("hickory", 1.09, 0.18, 0.92, 1e-3, 1e-3), "calibrate club"),
         (EncoderZeros((0, 0, 0), (1, 1, 1), 4096, 0.0), "calibrate encoders"),
+        (ClubInMount("driver", 1.09, radians(0.2), 0.92, 1e-3, 1e-3), "calibrate club driver"),
+        (ClubInMount("driver", 1.09, radians(33.0), 0.92, 1e-3, 1e-3), "calibrate club driver"),
+        (ClubInMount("iron7", 0.87, radians(33.0), radians(53.0), 1e-3, 1e-3), "calibrate club iron7"),
+        (ValveCentres((0.0, 0.15, 0.0), (0.02, 0.02, 0.02), 0.01), "calibrate valves: arm"),
+        (ValveCentres((0.0, 0.0, 0.0), (0.02, 0.02, 0.4), 0.01), "calibrate valves: wrist"),
     ],
 )
 def test_require_plausible_implausible_values_are_refused(
@@ -171,6 +176,21 @@ def test_require_plausible_implausible_values_are_refused(
     with pytest.raises(BenchError) as refusal:
         require_plausible(values, shipped)
     assert refusal.value.location == location
+
+
+def test_require_plausible_loft_in_radians_names_degrees(shipped: Configuration) -> None:
+    with pytest.raises(BenchError, match=r"loft 0\.2 deg, 14\.8 deg from clubs\.driver\.loft_deg.*degrees"):
+        require_plausible(ClubInMount("driver", 1.09, radians(0.2), 0.92, 1e-3, 1e-3), shipped)
+
+
+def test_require_plausible_valve_far_from_commissioned_value_is_refused(shipped: Configuration) -> None:
+    measured = ValveCentres((-0.03, 0.0, 0.0), (0.02, 0.02, 0.02), 0.001)
+    require_plausible(measured, shipped)
+    model = replace(shipped.envelope.model, standard_errors={"shoulder.valve.centre": 1e-4})
+    commissioned = replace(shipped, envelope=replace(shipped.envelope, model=model))
+    with pytest.raises(BenchError, match=r"centre -0\.03, commissioned as 0 \(plant\.shoulder\.valve"):
+        require_plausible(measured, commissioned)
+    require_plausible(replace(measured, centre=(-0.01, 0.0, 0.0)), commissioned)
 
 
 def test_require_plausible_ball_below_ground_is_refused(shipped: Configuration) -> None:
