@@ -12,7 +12,7 @@ import jinja2
 
 from bench.base.to_toml import toml_value
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning
-from bench.commissioning.machine.step import ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.step import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
 from sim.plant import PlantParameters
@@ -39,7 +39,7 @@ NO_CALIBRATION = (
 _WIDTH = 108
 _MIN_UNCERTAINTY_DEG = 0.001
 """Smallest standard uncertainty that is entered for a zero, deg."""
-_CLUB, _SUPPLY, _ENCODERS = "robot.club", "supply.pressure", "encoders"
+_CLUB, _SUPPLY, _ENCODERS, _SPOOL = "robot.club", "supply.pressure", "encoders", ("centre", "dead_band")
 
 
 def robot_file(
@@ -92,18 +92,28 @@ def robot_file(
 
 
 def _calibration(known: RobotEstimate) -> list[str]:
-    """Return comments that say how the encoders' zeros are stored as a calibration."""
+    """Return comments with the commands that store the encoders' zeros and the valves as calibrations."""
     encoders = known.plant.encoders
-    errors = [
-        known.found[key].error for i in range(3) if (key := f"{_ENCODERS}.zero_count.{i}") in known.found
-    ]
-    uncertainty = max(errors, default=0.0) * 360.0 / encoders.counts_per_revolution
+    uncertainty = _max_error(known, f"{_ENCODERS}.zero_count") * 360.0 / encoders.counts_per_revolution
     zeros, signs = (" ".join(map(str, values)) for values in (encoders.zero_count, encoders.sign))
-    return [
+    lines = [
         *(f"# {line}" for line in wrap(NO_CALIBRATION, _WIDTH)),
         f"# golfbench --config robot.toml calibrate encoders --zero-counts {zeros} --sign {signs} "
         f"--uncertainty-deg {max(uncertainty, _MIN_UNCERTAINTY_DEG):.2g}",
     ]
+    if error := _max_error(known, *(f"{key}.valve.{name}" for key in ACTUATOR_KEYS for name in _SPOOL)):
+        valves = [actuator.valve for actuator in known.plant.actuators]
+        centre, band = (" ".join(f"{getattr(valve, name):.5f}" for valve in valves) for name in _SPOOL)
+        lines.append(
+            f"# golfbench --config robot.toml calibrate valves --centre {centre} --dead-band {band} "
+            f"--uncertainty {error:.2g}"
+        )
+    return lines
+
+
+def _max_error(known: RobotEstimate, *keys: str) -> float:
+    """Return the max standard error of the values found at or below `keys`, 0 if there are none."""
+    return max((one.error for key, one in known.found.items() if key.startswith(keys)), default=0.0)
 
 
 def _keys(found: Iterable[ParameterEstimate]) -> dict[str, list[ParameterEstimate]]:

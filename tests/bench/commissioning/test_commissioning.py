@@ -15,7 +15,7 @@ import pytest
 
 from bench.base.errors import BenchError, Refused
 from bench.calibration.archive import calibration_of
-from bench.calibration.calibration import CalibrationKind, EncoderZeros
+from bench.calibration.calibration import CalibrationKind, EncoderZeros, ValveCentres
 from bench.commands.cli import main
 from bench.commissioning.commissioning import (
     ALL_STEPS,
@@ -227,24 +227,31 @@ def test_robot_file_loads_as_configuration(tmp_path: Path, configuration: Config
     assert load_configuration(path).envelope.model == model
 
 
-def test_robot_file_command_calibrates_encoder_zeros(tmp_path: Path, configuration: Configuration) -> None:
+def test_robot_file_commands_calibrate_encoders_and_valves(
+    tmp_path: Path, configuration: Configuration
+) -> None:
     known = RobotEstimate(configuration.plant)
     zeros = {f"encoders.zero_count.{i}": 1234.5 + i for i in range(3)}
     known.add([ParameterEstimate(key, zero, 18.2, "counts", "wiring") for key, zero in zeros.items()])
     known.add([ParameterEstimate("encoders.sign.2", -1.0, 0.0, "", "wiring")])
+    known.add([ParameterEstimate("shoulder.valve.centre", -0.01234, 0.0004, "", "valves")])
     base, path = tmp_path / "bench.toml", tmp_path / "robot.toml"
     base.write_text(f'base = "shipped"\n[bench]\nid = "robot-{os.getpid()}"\ndata_dir = "{tmp_path}"\n')
     path.write_text(robot_file(known, str(base), DAY.date()))
-    (command,) = re.findall(r"^# golfbench --config robot.toml (.*)$", path.read_text(), re.MULTILINE)
-    with pytest.raises(SystemExit) as ended:
-        main(["--config", str(path), *command.split()])
-    assert ended.value.code == 0
-    entry = calibration_of(load_configuration(path), datetime.now(UTC)).of(CalibrationKind.ENCODERS)
-    assert entry is not None
-    assert isinstance(entry.values, EncoderZeros)
-    assert entry.values.zero_count == tuple(zeros.values())
-    assert entry.values.sign == (1, 1, -1)
-    assert command.endswith("--uncertainty-deg 0.05")
+    commands = re.findall(r"^# golfbench --config robot.toml (.*)$", path.read_text(), re.MULTILINE)
+    for command in commands:
+        with pytest.raises(SystemExit) as ended:
+            main(["--config", str(path), *command.split()])
+        assert ended.value.code == 0
+    found = calibration_of(load_configuration(path), datetime.now(UTC))
+    encoders, valves = (found.of(kind) for kind in (CalibrationKind.ENCODERS, CalibrationKind.VALVES))
+    assert encoders is not None
+    assert isinstance(encoders.values, EncoderZeros)
+    assert encoders.values.zero_count == tuple(zeros.values())
+    assert encoders.values.sign == (1, 1, -1)
+    assert valves is not None
+    assert valves.values == ValveCentres((-0.01234, 0.0, 0.0), (0.02, 0.02, 0.02), 0.0004)
+    assert commands[0].endswith("--uncertainty-deg 0.05")
 
 
 def test_simulated_machine_exceeded_bound_makes_passive() -> None:
