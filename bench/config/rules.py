@@ -247,10 +247,14 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         )
 
 
+LEVEL = 5e-4
+"""Uncertainty of a height above the ground (m): a ball or sole no deeper in the ground lies on it."""
+
+
 def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     site, robot = c.plant.site, c.plant.robot
     lowest = site.ground + c.plant.ball.radius
-    if site.ball_y < lowest - 1e-6:
+    if site.ball_y < lowest - LEVEL:
         found, wanted = f"{short(site.ball_y)} m", f"at least {lowest:.4f} m, the ball's centre on the ground"
         yield "plant.site.ball_y", found, wanted, "Raise it; y0 points up."
     reach = robot.l12 + robot.l23 + robot.club.length_to_face
@@ -285,7 +289,7 @@ def _club_sites(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             wanted = f"within {degrees(MAX_TOE_TILT):g} deg of it"
             yield f"{key}.plane", found, wanted, "Tilt the mount to the lie, or correct the club's."
         deep = site.ground - (site.ball_y - site.sole_depth)
-        if deep > 1e-6:
+        if deep > LEVEL:
             found = f"{short(site.sole_depth)} m, a sole {1e3 * deep:.1f} mm in the ground at the ball"
             action = "Raise the ball (ball_y), or correct the depth of the sole."
             yield f"{key}.sole_depth", found, f"at most {site.ball_y - site.ground:.4f} m", action

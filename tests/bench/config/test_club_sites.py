@@ -131,6 +131,13 @@ def test_configuration_invalid_site_is_refused(
     assert wanted in fault.expected
 
 
+def test_configuration_ball_on_turf_passes_within_uncertainty_of_height(overlay: Overlay) -> None:
+    on_ground = IRON7.replace("-1.3956", "{:.5f}")
+    load_configuration(overlay(on_ground.format(-1.39566 - 1e-4)))
+    (fault,) = faults(overlay(on_ground.format(-1.39566 - 6e-4)))
+    assert (fault.found, fault.expected[:18]) == ("-1.39626 m", "at least -1.3957 m")
+
+
 def test_configuration_divot_without_surface_is_refused(overlay: Overlay) -> None:
     (fault,) = faults(overlay(IRON7 + "divot = 0.012\n"))
     assert fault.location.endswith("sites.iron7.divot")
