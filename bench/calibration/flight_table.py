@@ -28,6 +28,7 @@ from bench.base.errors import BenchError
 from bench.base.from_toml import encoding_of
 from bench.calibration.ball_aerodynamics import MeasuredFlight
 from drivers.base import Launch
+from drivers.base.ranges import read_number
 from sim.air import Air
 
 _SEPARATORS = ",;\t"
@@ -73,7 +74,7 @@ class MeasurementTable(NamedTuple):
         try:
             if self.decimal_comma and "." in text:
                 raise ValueError
-            value = sign * float(text.replace(",", ".") if self.decimal_comma else text)
+            value = sign * read_number(text.replace(",", ".") if self.decimal_comma else text)
         except ValueError:
             value = float("nan")
         if not isfinite(value):

@@ -17,7 +17,7 @@ from functools import partial
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias, cast
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias, cast, get_args
 
 import typer
 from typer.core import TyperGroup
@@ -169,11 +169,16 @@ def _literal(text: str) -> str:
 def _pass_plain(parameter: Any) -> None:
     convert, callback = parameter.process_value, parameter.callback
     is_single = not (parameter.required or parameter.multiple or parameter.nargs != 1)
-    is_text = is_single and parameter.type_descriptor.annotation is str
+    annotation = parameter.type_descriptor.annotation
+    is_text = is_single and annotation is str
+    is_number = {int, float}.issuperset(get_args(annotation) or [annotation])
 
     def process_value(context: Any, value: Any) -> Any:
         if is_single and (value is parameter.default or (is_text and isinstance(value, str))):
             return value if callback is None else callback(context, parameter, value)
+        given = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+        if is_number and any(isinstance(one, str) and "_" in one for one in given):  # 1_5 would be 15
+            raise typer.BadParameter(f"{value!r} has an underscore", ctx=context, param=parameter)
         try:
             return convert(context, value)
         except typer.BadParameter as error:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, did_you_mean
 from bench.base.from_toml import read_toml
+from drivers.base.ranges import read_number
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ def number(path: Path, text: str, where: str) -> float:
         BenchError: the cell is no number.
     """
     try:
-        return float(text) if text.strip() else float("nan")
+        return read_number(text) if text.strip() else float("nan")
     except ValueError:
         raise damaged(path, repr(text.strip()[:40]), where, "a number or an empty cell") from None
 

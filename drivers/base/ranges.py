@@ -48,6 +48,13 @@ def short(value: float) -> str:
     return f"{value:g}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
 
 
+def read_number(text: str) -> float:
+    """Return the number in `text`; ValueError also for 1_5, which `float` reads as 15."""
+    if "_" in text:
+        raise ValueError(f"{text!r}: no number")
+    return float(text)
+
+
 @cache
 def ranges_of(kind: type) -> dict[str, Range]:
     """Return the range of every field of dataclass `kind` that is annotated with one."""

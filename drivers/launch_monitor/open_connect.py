@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from drivers.base import Launch
+from drivers.base.ranges import read_number
 from drivers.launch_monitor.record import NO_CLUB, ClubFigures, ClubRecord, LaunchRecord
 
 MPH = 0.44704
@@ -433,7 +434,7 @@ def _number(value: Any) -> float | None:
     if isinstance(value, str) and len(value) > 40:
         return None
     try:
-        number = float(value)
+        number = read_number(value) if isinstance(value, str) else float(value)
     except (ValueError, OverflowError):
         return None
     return number if isfinite(number) else None

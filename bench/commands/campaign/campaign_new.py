@@ -12,6 +12,7 @@ import typer
 
 from bench.base.errors import BenchError
 from bench.commands.common.command import Session, argument, at_terminal, option
+from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
     from bench.campaign.plan.plan import CampaignPlan
@@ -131,7 +132,7 @@ def _names(text: str) -> list[str]:
 
 def _length(text: str) -> float:
     try:
-        value = float(text.replace(",", "."))
+        value = read_number(text.replace(",", "."))
     except ValueError:
         value = 0.0
     if not 0.0 < value < _MANY:

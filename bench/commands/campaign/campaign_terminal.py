@@ -281,14 +281,12 @@ class TerminalOperator:
             return False
         if line.lower() in _YES:
             return True
-        try:
-            count = int(line)
-        except ValueError:
+        if not line.removeprefix("-").isdecimal():
             self._say(f"{line!r} is no answer: press Enter once it is done.")
             return False
         try:
             if self._prompt is not None:
-                require_count(self._prompt, count)
+                require_count(self._prompt, int(line))
         except Refused as wrong:
             self._say(f"Not confirmed: {wrong.found}, expected {wrong.expected}. {wrong.action}")
             return False

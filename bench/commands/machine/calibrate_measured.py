@@ -23,6 +23,7 @@ from bench.commands.common.command import (
     show_json,
     user_name,
 )
+from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
     from bench.calibration.ball_aerodynamics import BallAerodynamics, FlightUncertainty
@@ -175,7 +176,7 @@ def _uncertainty(option: str, given: Sequence[str], default: Mapping[str, float]
     for text in given:
         name, _, number = text.partition("=")
         try:
-            value = float(number)
+            value = read_number(number)
         except ValueError:
             value = math.nan
         if name not in default or not 0.0 <= value < math.inf:
@@ -259,7 +260,7 @@ def gauge_from_person() -> float:
     while True:
         text = typer.prompt("bar on the gauge behind the regulator", err=True)
         try:
-            bar = float(text.replace(",", "."))
+            bar = read_number(text.replace(",", "."))
         except ValueError:
             bar = math.nan
         if 0.0 <= bar <= 20.0:

@@ -17,6 +17,7 @@ from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.common.command import ClubName, ClusterAddress, Processes, Session, option, sweep_engine
 from bench.commands.common.output import console_of, plain_table, progress_of_steps, write_text
+from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
     from bench.design.sizing.hardware import Hardware
@@ -102,9 +103,9 @@ _GRID: Mapping[str, tuple[str, Callable[[str], Any]]] = {
     "cylinder": ("cylinders", str),
     "valve": ("valves", str),
     "absorbers": ("absorbers", _pair),
-    "pressure_bar": ("pressures", lambda text: 1e5 * float(text)),
-    "lever_mm": ("levers", lambda text: 1e-3 * float(text)),
-    "lever_angle": ("lever_angles", lambda text: radians(float(text))),
+    "pressure_bar": ("pressures", lambda text: 1e5 * read_number(text)),
+    "lever_mm": ("levers", lambda text: 1e-3 * read_number(text)),
+    "lever_angle": ("lever_angles", lambda text: radians(read_number(text))),
     "frame": ("frames", str),
     "hose": ("hoses", _or_none),
     "vent": ("vents", _or_none),

@@ -16,6 +16,7 @@ from rich.table import Table
 from bench.base.errors import BenchError
 from bench.commands.common.command import Json, Plot, Session, argument, option, require_picture, show_json
 from bench.commands.common.output import console_of, finite, plain_table
+from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
     from bench.config import Configuration
@@ -232,7 +233,7 @@ def _events(text: str | None) -> dict[str, float]:
     for part in text.split(",") if text else ():
         key, _, value = (word.strip() for word in part.partition("="))
         try:
-            found[{"top": "top", "impact": "impact"}[key]] = float(value)
+            found[{"top": "top", "impact": "impact"}[key]] = read_number(value)
         except (KeyError, ValueError):
             action = "Give the times in seconds, as --events top=0.8,impact=1.1."
             raise BenchError("--events", part[:40], "top=S, impact=S or both", action) from None

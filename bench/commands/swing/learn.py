@@ -28,6 +28,7 @@ from bench.commands.common.command import (
 )
 from bench.commands.common.output import paused, plain_table, progress_bar
 from bench.swing.correction_terms import Source
+from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
     from bench.config import Configuration
@@ -201,7 +202,7 @@ def mark_from_person() -> tuple[float, float] | None:
         if not text.strip():
             return None
         try:
-            toe, high = map(float, text.replace(",", " ").split())
+            toe, high = map(read_number, text.replace(",", " ").split())
         except ValueError:
             toe = high = float("nan")
         if abs(toe) <= _FACE and abs(high) <= _FACE:

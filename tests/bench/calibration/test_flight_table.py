@@ -202,6 +202,7 @@ def test_read_flights_unknown_speed_column_names_all_units(tmp_path: Path) -> No
         (f"{HEADER}\n,,,[m]\n{FLIGHT}\n", "line 1, carry_yd (column 4)", "m in the row of units"),
         (f"{HEADER},Apex\n{FLIGHT},105\n", "line 2, Apex (column 5)", "no unit"),
         (f"{HEADER},Apex\n,,,,[in]\n{FLIGHT},105\n", "line 3, Apex (column 5)", "unit in"),
+        (f"{HEADER}\n1_71,10.4,2545,282\n", "line 2, ball_speed_mph (column 1)", "'1_71'"),
         (f"{HEADER}\n171,1.2R,2545,282\n", "line 2, launch_angle_deg (column 2)", "'1.2R'"),
         (f"{HEADER},direction_deg\n{FLIGHT},-1.2L\n", "line 2, direction_deg (column 5)", "'-1.2L'"),
         (f"{HEADER}\n171,10,4,2545,282\n", "line 2", "5 cells"),

@@ -143,7 +143,7 @@ def test_read_message_total_spin_overrides_components() -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", ["NaN", "inf", "-1e999", "12,5", "fast", True, [1], {"a": 1}, -3, 301, 10**400]
+    "bad", ["NaN", "inf", "-1e999", "12,5", "1_2", "fast", True, [1], {"a": 1}, -3, 301, 10**400]
 )
 def test_read_message_impossible_speed_is_absent_with_reason(bad: Any) -> None:
     shot = record(Speed=bad)

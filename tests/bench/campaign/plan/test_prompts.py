@@ -456,6 +456,8 @@ def test_terminal_operator_load_list_requires_correct_count(
         assert "Empty the feeder and load it by the list" in _line(out)
         answers("maybe", False)
         assert "'maybe' is no answer" in _line(out)
+        answers("0_5", False)
+        assert "'0_5' is no answer" in _line(out)
         answers("5", True)
         os.close(master)
     assert "1. tour 1   2. range 1   3. tour 2   4. range 2" in out.getvalue()

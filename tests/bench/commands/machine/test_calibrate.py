@@ -133,6 +133,8 @@ def test_calibrate_show_expired_calibration_exits_refused(golfbench: Run, tmp_pa
         *((CLUB, option, "90") for option in ("--lie-deg", "--length", "--angle-uncertainty-deg")),
         *((BALL, option, "60") for option in ("--x", "--y", "--uncertainty-mm")),
         (POSE, "--uncertainty-deg", "6"),
+        (BALL, "--uncertainty-mm", "0_5"),
+        (POSE, "--from-pose", "-3_0"),
     ],
 )
 def test_calibrate_value_out_of_range_names_option(
