@@ -36,6 +36,9 @@ class BenchSettings:
     """Folder of records, relative to the working directory."""
     database: str = ""
     """URL of the database; empty: SQLite in `data_dir`."""
+    commissioned: str = ""
+    """Time (ISO, UTC) at which golfbench commission measured the robot; empty: never. Calibrations before it
+    that replace values of the configuration block arming."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from enum import StrEnum
 from hashlib import sha256
 from math import degrees, hypot, pi, radians
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import checked_values
 from bench.base.lifecycle import Block, Phase, State
 from bench.config import Configuration, contradictions
+from bench.config.text import changed_values
 from bench.records.telemetry.encoder_preset import CalibratedShifts
 from bench.records.telemetry.ring import RingReader
 from drivers.base import JOINTS, Triple
@@ -407,6 +408,42 @@ def apply(calibration: Calibration, configuration: Configuration) -> Configurati
     for entry in calibration.entries:
         configuration = _corrected(configuration, entry.values, entry.name)
     return configuration
+
+
+class ReplacedValues(NamedTuple):
+    """Values of the configuration that a calibration replaces."""
+
+    entry: Entry
+    values: tuple[tuple[str, str, str], ...]
+    """Key, value in the configuration and value used."""
+
+    @property
+    def text(self) -> str:
+        """Return calibration, date and values for people."""
+        changes = ", ".join(f"{key} {stated} by {used}" for key, stated, used in self.values)
+        return f"{self.entry.name} of {self.entry.date:%Y-%m-%d %H:%M} UTC replaces {changes}"
+
+
+def replaced_values(calibration: Calibration, configuration: Configuration) -> tuple[ReplacedValues, ...]:
+    """Return the values of `configuration` that `apply` replaces by others. Raises as `apply`."""
+    changed = (
+        (one, tuple(changed_values(configuration, _corrected(configuration, one.values, one.name))))
+        for one in calibration.entries
+    )
+    return tuple(ReplacedValues(entry, values) for entry, values in changed if values)
+
+
+def outdated(replaced: ReplacedValues, configuration: Configuration) -> BenchError | None:
+    """Return the fault of a calibration that replaces values commissioned later; None if it does not."""
+    entry, commissioned = replaced.entry, configuration.commissioned
+    if commissioned is None or entry.date >= commissioned:
+        return None
+    return BenchError(
+        entry.name,
+        f"{replaced.text}, which were commissioned later",
+        f"a calibration since {commissioned:%Y-%m-%d %H:%M} UTC (bench.commissioned)",
+        f"Run golfbench calibrate {entry.kind}.",
+    )
 
 
 def _corrected(c: Configuration, values: Values, name: str) -> Configuration:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from datetime import date, datetime
+from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
 from textwrap import wrap
@@ -45,20 +45,23 @@ _CLUB, _SUPPLY, _ENCODERS, _SPOOL = "robot.club", "supply.pressure", "encoders",
 def robot_file(
     known: RobotEstimate,
     base: str,
-    made: date,
+    made: datetime,
     envelope: EnvelopeSettings | None = None,
     following: Mapping[str, tuple[float, float, float]] | None = None,
     profile: Path | None = None,
 ) -> str:
-    """Return TOML of the robot in `known` over the configuration file `base`, commissioned on `made`.
+    """Return TOML of the robot in `known` over the configuration file `base`, commissioned at `made`.
 
     The limits of the supply's pressure, of `envelope`, follow the supply that was found; `following` are
     those of following errors, by phase. `profile` is the file of its swing.
     """
     lines = [
-        f"# Commissioned on {made.isoformat()}: values with standard errors, and the steps that found them.",
+        f"# Commissioned on {made:%Y-%m-%d}: values with standard errors, and the steps that found them.",
         "# Not measured, as configured: " + "; ".join(GUESSES) + ".",
         f"base = {toml_value(base)}",
+        "",
+        "[bench]",
+        f"commissioned = {toml_value(made.isoformat(timespec='seconds'))}",
     ]
     if profile is not None:
         lines += ["", "[swing]", f"profile = {toml_value(str(profile.resolve()))}"]

@@ -51,6 +51,13 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             database_url(c.bench.database, c.bench.data_dir)
         except BenchError as error:
             yield error.location, error.found, error.expected, error.action
+    try:
+        zoned = c.commissioned is None or c.commissioned.tzinfo is not None
+    except ValueError:
+        zoned = False
+    if not zoned:
+        found, expected = format_value(c.bench.commissioned), "a time such as 2026-11-29T12:00:00+00:00"
+        yield "bench.commissioned", found, expected, "Copy it from robot.toml of golfbench commission."
     for key, entries in (("club", c.clubs), ("ball", c.balls)):
         name = getattr(c.swing, key)
         if name not in entries:

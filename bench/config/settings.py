@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import datetime
 from math import pi, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -222,6 +223,12 @@ class Configuration:
         if found.stale:
             _log.warning("model-based check of %s: %s", profile.name, found.source)
         return replace(self, envelope=replace(self.envelope, model=found.settings))
+
+    @property
+    def commissioned(self) -> datetime | None:
+        """Time at which the robot was commissioned; None if it never was."""
+        text = self.bench.commissioned
+        return datetime.fromisoformat(text) if text else None
 
     @property
     def is_machine(self) -> bool:

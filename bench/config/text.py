@@ -50,6 +50,23 @@ def configuration_text(configuration: Configuration) -> str:
     return "\n".join(lines) + "\n"
 
 
+def changed_values(before: Configuration, after: Configuration) -> Iterator[tuple[str, str, str]]:
+    """Yield each key whose value differs with both values, in degrees or Hz where those are exact."""
+    whole = (_tables(_Table("", Configuration, one, "")) for one in (before, after))
+    for old, new in zip(*whole, strict=True):
+        if not is_dataclass(old.kind) or old.value == new.value:
+            continue
+        hints = get_type_hints(old.kind, include_extras=True)
+        for name in keys_of(old.kind, f"{old.path}."):  # type: ignore[arg-type]
+            values = [plain(getattr(table.value, name), "") for table in (old, new)]
+            if values[0] == values[1] or isinstance(values[0], dict):
+                continue
+            shown = [_in_people_units(name, hints[name], value) for value in values]
+            if shown[0][0] != shown[1][0]:
+                shown = [(name, value) for value in values]
+            yield f"{old.path}.{shown[0][0]}", _written(shown[0][1]), _written(shown[1][1])
+
+
 def _tables(table: _Table) -> Iterator[_Table]:
     """Yield `table` and the tables in it, in the order of the fields."""
     if table.path:

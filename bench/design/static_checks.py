@@ -62,6 +62,8 @@ class MachineSwing(NamedTuple):
     motion: Motion
     location: str
     """The profile's file, for messages."""
+    tee: str
+    """Source of the ball's position, for messages."""
 
     def key(self, name: str, found: str, expected: str, action: str) -> BenchError:
         """Return a fault of one key of the profile."""
@@ -76,13 +78,18 @@ class MachineSwing(NamedTuple):
 
 
 def check_profile(
-    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, location: str | None = None
+    profile: Profile,
+    plant: PlantParameters,
+    envelope: EnvelopeSettings,
+    location: str | None = None,
+    tee: str = "plant.site",
 ) -> list[Check]:
     """Return every check of `profile` on the machine but that of its rate; `location` names its file.
 
+    `tee` names the source of the ball's position.
     A running bench swings with values between the samples, see `other_rate`.
     """
-    plan = MachineSwing(profile, plant, envelope, Motion(profile, plant), location or profile.name)
+    plan = MachineSwing(profile, plant, envelope, Motion(profile, plant), location or profile.name, tee)
     done = [check(plan) for check in _CHECKS]
     # The force that the air must give follows from the tables' slopes.
     return done if _tables(plan).faults else [*done, _air(plan)]
@@ -333,8 +340,9 @@ def _ball(plan: MachineSwing) -> Check:
     off = hypot(x - site.ball_x, y - site.ball_y)
     if off > BALL_TOLERANCE:
         found = f"({x:.4f}, {y:.4f}) m, {1e3 * off:.1f} mm off"
-        wanted = f"({site.ball_x:.4f}, {site.ball_y:.4f}) m, plant.site, within {1e3 * BALL_TOLERANCE:g} mm"
-        faults.append(plan.key("ball_m", found, wanted, "Move the tee to where the swing is aimed."))
+        wanted = f"({site.ball_x:.4f}, {site.ball_y:.4f}) m, {plan.tee}, within {1e3 * BALL_TOLERANCE:g} mm"
+        action = "Move the tee to where the swing is aimed, then golfbench calibrate ball."
+        faults.append(plan.key("ball_m", found, wanted, action))
     head = forward_kinematics(plan.plant.robot, profile.angle_at_impact)
     behind, above = x - float(head[0]), float(head[1]) - y
     far = abs(behind) > CONTACT_TOLERANCE[0] or abs(above) > CONTACT_TOLERANCE[1]

@@ -112,6 +112,8 @@ class Daemon:
         self.calibration, self.profile = self._readiness.calibration, self._readiness.profile
         self.configuration = self._readiness.configuration
         self._blocks = self._readiness.blocks(now())
+        for replaced in self._readiness.replaced:
+            _log.info(replaced.text)
         for note in self._readiness.warnings:
             _log.warning(note)
         for block in self._blocks:

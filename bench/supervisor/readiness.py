@@ -7,6 +7,7 @@ its faults.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +15,15 @@ from pathlib import Path
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Block
 from bench.calibration.archive import calibration_of
-from bench.calibration.calibration import Calibration, CalibrationKind, apply, is_rewired
+from bench.calibration.calibration import (
+    Calibration,
+    CalibrationKind,
+    ReplacedValues,
+    apply,
+    is_rewired,
+    outdated,
+    replaced_values,
+)
 from bench.config import Configuration, contradictions, unheard_phases
 from bench.control.residual_thresholds import LimitsInUse
 from bench.design.static_checks import Check, check_profile, other_rate, rate_faults
@@ -73,6 +82,8 @@ class Readiness:
     """Source of the limits of the model-based check; empty if it is off or if there are stale ones."""
     warnings: tuple[str, ...]
     """Properties that do not block arming."""
+    replaced: tuple[ReplacedValues, ...] = ()
+    """Values of the configuration that the calibrations replace."""
 
     @property
     def faults(self) -> list[BenchError]:
@@ -160,16 +171,24 @@ def assess(
         BenchError: a calibration belongs to another machine, or a file of limits is invalid.
     """
     c = apply(calibration, configuration)
-    found, warnings = contradictions(c), list[str]()
+    replaced, warnings = replaced_values(calibration, configuration), list[str]()
+    found = _contradictions(c, replaced)
     if running:
         c, found = c.running(), [*found, *unheard_phases(c)]
         if note := other_rate(profile, c.plant):
             warnings.append(note)
     else:
         found += rate_faults(profile, c.plant, str(file))
-    checks = check_profile(profile, _as_designed(configuration, c, profile), c.envelope, str(file))
+    tee = calibration.of(CalibrationKind.BALL)
+    designed = _as_designed(configuration, c, profile)
+    checks = check_profile(profile, designed, c.envelope, str(file), tee.name if tee else "plant.site")
     limits = ""
     real, model = running and c.is_machine, c.envelope.model
+    for old in filter(None, (outdated(one, configuration) for one in replaced)):
+        if real:
+            found.append(old)
+        else:
+            warnings.append(str(old))
     inputs = calibration.of(CalibrationKind.INPUTS)
     if real and inputs is not None and is_rewired(inputs.values, c):
         found.append(
@@ -200,7 +219,19 @@ def assess(
             warnings.append(f"limits of the model-based check: {used.source}")
         else:
             limits = used.source
-    return Readiness(c, calibration, profile, file, tuple(found), tuple(checks), limits, tuple(warnings))
+    return Readiness(
+        c, calibration, profile, file, tuple(found), tuple(checks), limits, tuple(warnings), replaced
+    )
+
+
+def _contradictions(c: Configuration, replaced: Iterable[ReplacedValues]) -> list[BenchError]:
+    """Return the contradictions in `c`, those of a replaced value at the calibration that it comes from."""
+    sources = {key: one.entry.name for one in replaced for key, *_ in one.values}
+    found = contradictions(c)
+    for fault in found:
+        file, _, key = fault.location.rpartition(": ")
+        fault.location = f"{sources.get(key, file)}: {key}"
+    return found
 
 
 def _fitted_sensors(c: Configuration) -> tuple[bool, bool]:

@@ -101,6 +101,8 @@ def check(
     found = assess_bench(configuration, now, profile, running=True)
     calibration = found.calibration
     console.print(f"calibration of bench {calibration.bench}: {calibration.summary()}")
+    for replaced in found.replaced:
+        console.print(f"  {replaced.text}", soft_wrap=True)
     console.print(
         f"swing {found.file}: readable, {len(found.profile.angle)} samples, all finite and in range"
     )

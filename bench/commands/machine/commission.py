@@ -199,7 +199,9 @@ def _write_robot(
     from bench.commissioning.machine.step import LEARNED_FILE
     from bench.commissioning.robot_file import robot_file
 
-    made, learned = datetime.now(UTC).date(), file.with_name(LEARNED_FILE)
+    measured = max((step.date for step in state.done if step.values), default=None)
+    made = datetime.fromisoformat(measured) if measured else datetime.now(UTC)
+    learned = file.with_name(LEARNED_FILE)
     profile = learned if following and learned.exists() else None
     with atomic_file(file) as stream:
         stream.write(robot_file(known, state.configuration, made, envelope, following, profile).encode())

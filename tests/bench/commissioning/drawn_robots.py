@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
-from datetime import date
+from datetime import UTC, datetime
 from math import pi
 from typing import Any
 
@@ -102,7 +102,7 @@ def drawn_robot_file(robot: PlantParameters, configuration: Configuration) -> st
         if value != before
     ]
     known, base = RobotEstimate(configuration.plant, found), str(configuration.files[-1].resolve())
-    return robot_file(known, base, date(2026, 5, 1), configuration.envelope)
+    return robot_file(known, base, datetime(2026, 5, 1, tzinfo=UTC), configuration.envelope)
 
 
 def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -213,10 +213,11 @@ def test_robot_file_loads_as_configuration(tmp_path: Path, configuration: Config
     following = configuration.envelope.max_following_error | {"top": (0.25, np.float64(0.2), 0.3)}
     base = str(shipped_configuration().resolve())
     learned = tmp_path / "learned.toml"
-    path.write_text(robot_file(known, base, DAY.date(), configuration.envelope, following, learned))
+    path.write_text(robot_file(known, base, DAY, configuration.envelope, following, learned))
     loaded = load_configuration(path)
     assert loaded.swing.profile == str(learned.resolve())
     assert loaded.plant == known.plant
+    assert loaded.commissioned == DAY
     assert loaded.envelope.max_following_error == following
     assert "0.0123  # ± 0.0001; valves" in path.read_text()
     assert "Not measured" in path.read_text()
@@ -237,7 +238,7 @@ def test_robot_file_commands_calibrate_encoders_and_valves(
     known.add([ParameterEstimate("shoulder.valve.centre", -0.01234, 0.0004, "", "valves")])
     base, path = tmp_path / "bench.toml", tmp_path / "robot.toml"
     base.write_text(f'base = "shipped"\n[bench]\nid = "robot-{os.getpid()}"\ndata_dir = "{tmp_path}"\n')
-    path.write_text(robot_file(known, str(base), DAY.date()))
+    path.write_text(robot_file(known, str(base), DAY))
     commands = re.findall(r"^# golfbench --config robot.toml (.*)$", path.read_text(), re.MULTILINE)
     for command in commands:
         with pytest.raises(SystemExit) as ended:

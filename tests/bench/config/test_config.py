@@ -320,6 +320,13 @@ def test_configuration_misspelt_key_suggests_correct_key(overlay: Overlay) -> No
         ("[clubs.driver]\nloft = 0.2\nloft_deg = 12", "clubs.driver.loft_deg", "also loft", "one of the two"),
         ('[clubs.x]\nlike = "iron7"', "clubs.x.like", '"iron7"', "one of driver, thesis"),
         ('[bench]\nid = "a/b"', "bench.id", '"a/b"', "letters"),
+        ('[bench]\ncommissioned = "may"', "bench.commissioned", '"may"', "a time such as"),
+        (
+            '[bench]\ncommissioned = "2026-05-01T12:00"',
+            "bench.commissioned",
+            '"2026-05-01T12:00"',
+            "a time such as",
+        ),
         ('[swing]\nclub = "putter"', "swing.club", '"putter"', "one of driver, thesis, iron7"),
         ('[driver]\nname = "smi"', "driver.name", '"smi"', "one of canopen, daq, mock, sim"),
         (

@@ -113,7 +113,7 @@ def test_assess_ball_off_profile_blocks(configuration: Configuration, calibrate:
     assert block["code"] == Block.SWING
     assert block["location"].endswith("default.toml: ball_m")
     assert "107.7 mm off" in block["found"]
-    assert "plant.site" in block["expected"]
+    assert "calibration ball version 1" in block["expected"]
     assert block["action"]
     with pytest.raises(ExceptionGroup, match="cannot be swung here"):
         found.require_possible()
@@ -216,7 +216,32 @@ def test_assess_configuration_contradicting_calibration_blocks(
     configuration: Configuration, calibrate: Calibrate
 ) -> None:
     calibrate(BallPosition(0.25, -1.75, 5e-4))
-    assert Block.CONFIGURATION in codes(configuration)
+    blocks = assess_bench(configuration, NOW, running=True).blocks(NOW)
+    assert [block["location"] for block in blocks if block["code"] is Block.CONFIGURATION] == [
+        "calibration ball version 1: plant.site.ball_y"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("driver", "hours", "stale"), [("daq", 0.0, True), ("sim", 0.0, True), ("daq", -2.0, False)]
+)
+def test_assess_calibration_older_than_commissioning_blocks_machine_and_warns_simulated_bench(
+    configuration: Configuration, calibrate: Calibrate, driver: str, hours: float, stale: bool
+) -> None:
+    bench = replace(configuration.bench, commissioned=(NOW + timedelta(hours=hours)).isoformat())
+    c = replace(configuration, bench=bench).with_driver(replace(configuration.driver, name=driver))
+    calibrate(EncoderZeros((1.0, 2.0, 3.0), (1, 1, 1), 131072, 1e-3))
+    calibrate(BallPosition(0.25, -1.56, 5e-4))  # as configured
+    found = assess_bench(c, NOW, running=True)
+    (replaced,) = found.replaced
+    assert replaced.text == (
+        "calibration encoders version 1 of 2026-11-26 11:00 UTC replaces "
+        "plant.encoders.zero_count [0.0, 0.0, 0.0] by [1.0, 2.0, 3.0]"
+    )
+    faults = [fault for fault in found.contradictions if "commissioned later" in fault.found]
+    warned = [warning for warning in found.warnings if "commissioned later" in warning]
+    assert (len(faults), len(warned)) == (stale and driver == "daq", stale and driver == "sim")
+    assert all(fault.action == "Run golfbench calibrate encoders." for fault in faults)
 
 
 def test_assess_phase_fault_with_canopen_driver_blocks(tmp_path: Path) -> None:
@@ -307,13 +332,25 @@ def start(configuration: Configuration) -> Callable[[], tuple[Daemon, AcceptingL
 Start = Callable[[], tuple[Daemon, AcceptingLink]]
 
 
+def test_daemon_start_logs_values_replaced_by_calibration(
+    start: Start, calibrate: Calibrate, caplog: pytest.LogCaptureFixture
+) -> None:
+    calibrate(BallPosition(0.2503, -1.56, 5e-4))
+    with caplog.at_level("INFO"):
+        start()
+    assert "replaces plant.site.ball_x 0.25 by 0.2503" in caplog.text
+
+
 def test_daemon_ball_off_profile_refuses_arming(start: Start, calibrate: Calibrate) -> None:
     calibrate(MISSED)
     daemon, link = start()
     reply = daemon.request(Request.ARM)
     assert (reply.accepted, link.asked) == (False, [])
     assert [block["code"] for block in reply.content["arming_blocks"]] == [Block.SWING]
-    assert "107.7 mm off" in reply.content["arming_blocks"][0]["found"]
+    (block,) = reply.content["arming_blocks"]
+    assert "107.7 mm off" in block["found"]
+    assert "calibration ball version 1" in block["expected"]
+    assert "golfbench calibrate ball" in block["action"]
     assert daemon.request(Request.HOME).accepted
 
 
