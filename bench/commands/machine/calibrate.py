@@ -28,8 +28,9 @@ from bench.commands.common.output import plain_table
 from bench.commands.machine.calibrate_measured import By, aerodynamics, inputs
 
 if TYPE_CHECKING:
-    from bench.calibration.calibration import Calibration, CalibrationKind, Entry
+    from bench.calibration.calibration import Calibration, CalibrationKind, Entry, ReplacedValues
     from bench.config import Configuration
+    from sim.plant import Encoders
 
 app = typer.Typer(
     help="Enter calibrations of this machine. Nothing is overwritten: a newer one supersedes.",
@@ -93,13 +94,17 @@ def encoders(
     json_: Json = False,
 ) -> None:
     """Set the encoder zeros: counts at angle zero, or the pose in which the robot is locked now."""
-    from bench.calibration.calibration import CalibrationKind
+    from bench.calibration.archive import calibration_of
+    from bench.calibration.calibration import CalibrationKind, EncoderZeros
     from bench.calibration.calibration import zero_counts as zeros_at
 
     location = "calibrate encoders"
-    nominal, configuration = context.ensure_object(Session).configuration(), _calibrated(context)
+    configuration = context.ensure_object(Session).configuration()
     here = configuration.plant.encoders
-    sign = sign or here.sign
+    # Not by `apply`: the calibration in force may belong to other encoders.
+    entry = calibration_of(configuration, datetime.now(UTC)).of(CalibrationKind.ENCODERS)
+    known = entry.values if entry is not None and isinstance(entry.values, EncoderZeros) else here
+    sign = sign or known.sign
     content: dict[str, Any] = {
         "sign": sign,
         "counts_per_revolution": here.counts_per_revolution,
@@ -124,7 +129,7 @@ def encoders(
     else:
         content["zero_count"] = zero_counts
     if not remounted:
-        _require_known_zeros(content["zero_count"], sign, configuration, nominal)
+        _require_known_zeros(content["zero_count"], sign, configuration, known, here)
     _add(
         context, CalibrationKind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_
     )
@@ -247,27 +252,29 @@ def show(context: typer.Context, json_: Json = False) -> None:
     Exits with 1 if the bench cannot be armed for lack of calibration.
     """
     from bench.calibration.archive import calibration_of
+    from bench.calibration.calibration import outdated, replaced_values
 
     configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     calibration = calibration_of(configuration, now)
-    problems = calibration.problems(now)
+    problems = [problem.text for problem in calibration.problems(now)]
+    replaced: tuple[ReplacedValues, ...] = ()
+    try:
+        replaced = replaced_values(calibration, configuration)
+    except BenchError as error:
+        problems.append(str(error))
+    if configuration.is_machine:
+        problems += map(str, filter(None, (outdated(one, configuration) for one in replaced)))
     if json_:
-        show_json(calibration.record() | {"problems": [p.text for p in problems]})
+        show_json(calibration.record() | {"problems": problems, "replaced": [one.text for one in replaced]})
     else:
         console = Console()
         console.print(f"bench {calibration.bench}, club {calibration.club}", highlight=False)
         console.print(overview(calibration, now))
+        for one in replaced:
+            console.print(Text(one.text), soft_wrap=True)
         for problem in problems:
-            console.print(f"arming blocked: {problem.text}", style="red", highlight=False, soft_wrap=True)
+            console.print(Text(f"arming blocked: {problem}", "red"), soft_wrap=True)
     exit_unless(not problems)
-
-
-def _calibrated(context: typer.Context) -> Configuration:
-    from bench.calibration.archive import calibration_of
-    from bench.calibration.calibration import apply
-
-    configuration = context.ensure_object(Session).configuration()
-    return apply(calibration_of(configuration, datetime.now(UTC)), configuration)
 
 
 def _add(
@@ -318,21 +325,22 @@ def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) ->
             raise BenchError(location, str(count), expected, "Give the count that the encoder shows.")
 
 
-def _require_known_zeros(zeros: Three, sign: tuple[int, int, int], *known: Configuration) -> None:
-    """Raise BenchError if `zeros` are near those of no `known` configuration; default zeros are unknown."""
+def _require_known_zeros(
+    zeros: Three, sign: tuple[int, int, int], c: Configuration, *known: EncoderZeros | Encoders
+) -> None:
+    """Raise BenchError if `zeros` are near none of `known`; default zeros, and other encoders, are unknown."""
     from drivers.base import JOINTS
     from sim.plant import Encoders
 
-    faults = list[BenchError]()
-    for c in known:
-        there, turn = c.plant.encoders, c.plant.encoders.counts_per_revolution
-        if there.zero_count == Encoders().zero_count:
+    faults, most = list[BenchError](), [degrees(angle) for angle in c.homing.tolerance]
+    turn = c.plant.encoders.counts_per_revolution
+    for there in known:
+        if there.zero_count == Encoders().zero_count or there.counts_per_revolution != turn:
             continue
         off = [
             abs((a - b + turn / 2) % turn - turn / 2) * 360.0 / turn
             for a, b in zip(zeros, there.zero_count, strict=True)
         ]
-        most = [degrees(angle) for angle in c.homing.tolerance]
         wrong = [i for i in range(3) if off[i] > most[i] or sign[i] != there.sign[i]]
         if not wrong:
             return

@@ -87,6 +87,9 @@ def test_check_command_expired_calibration_is_refused(
     assert golfbench("calibrate", *BALL)[0] == 0
     code, text, _ = golfbench("check")
     assert (code, "ball version 1 of" in text, "warning" in text) == (0, True, False)
+    replaced = "replaces plant.site.ball_x 0.25 by 0.2503, plant.site.ball_y -1.56 by -1.5602"
+    assert replaced in text
+    assert replaced in golfbench("calibrate", "show")[1]
     import bench.commands.bench.run as report
 
     class Later(datetime):
@@ -187,6 +190,19 @@ def test_calibrate_encoders_zero_far_from_present_one_needs_option(
     near = [*POSE[:4], "-30.5", "236.5", "350.5", *counts]
     assert golfbench("calibrate", *near)[0] == 0
     assert golfbench("calibrate", *other, "--remounted")[0] == 0
+
+
+def test_calibrate_encoders_after_exchange_supersedes_other_resolution(
+    golfbench: Run, tmp_path: Path
+) -> None:
+    assert golfbench("calibrate", *POSE, "--counts", "100", "131000", "7", "--sign", "1", "-1", "1")[0] == 0
+    with (tmp_path / "mine.toml").open("a", encoding="utf-8") as file:
+        file.write("[plant.encoders]\ncounts_per_revolution = 65536\n")
+    code, text, _ = golfbench("calibrate", "show")
+    assert (code, "encoders of 131072 counts per revolution" in text) == (1, True)
+    code, text, _ = golfbench("calibrate", *POSE, "--counts", "100", "65000", "7", "--json")
+    assert (code, json.loads(text)["values"]["sign"]) == (0, [1, -1, 1])
+    assert golfbench("calibrate", "show")[0] == 0
 
 
 def test_calibrate_encoders_stores_device_presets(golfbench: Run, tmp_path: Path) -> None:
