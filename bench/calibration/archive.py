@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from datetime import datetime, timedelta
-from typing import Any
+from typing import Any, TypeVar
 
-from sqlalchemy import Engine, func, select
+from sqlalchemy import ColumnElement, Connection, Engine, Select, Table, literal, select
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import checked_values
@@ -17,6 +17,7 @@ from bench.calibration.calibration import (
     Calibration,
     CalibrationKind,
     Entry,
+    UnreadableEntry,
     Values,
     content_of,
     kind_of,
@@ -69,7 +70,7 @@ def add_calibration(
     """Store `values` as the next version of their kind and return the entry.
 
     Raises:
-        BenchError: it expires before it begins, a newer one exists, or `by` or `method` is empty.
+        BenchError: it expires before it begins, or `by` or `method` is empty.
     """
     kind = kind_of(values)
     for name, found in (("by", by), ("method", method)):
@@ -92,46 +93,91 @@ def add_calibration(
     }
     c = CALIBRATIONS.c
     with transaction(database, writes=True) as connection:
-        before = connection.scalar(select(func.max(c.date)).where(c.bench == bench, c.kind == kind.value))
-        if before is not None and before > date:
-            expected = f"after the one before, of {before:%Y-%m-%d %H:%M:%S} UTC"
-            action = "Set this machine's clock: a calibration is only superseded by a later one."
-            raise BenchError(f"calibrate {kind}: date", f"{date:%Y-%m-%d %H:%M:%S} UTC", expected, action)
         version = add_version(connection, CALIBRATIONS, "kind", row)
-    return next(entry for entry in list_calibrations(database, bench, kind) if entry.version == version)
+        mine = (c.bench == bench) & (c.kind == kind.value) & (c.version == version)
+        return _entry(connection.execute(select(CALIBRATIONS).where(mine)).one())
 
 
-def list_calibrations(database: Engine, bench: str, kind: CalibrationKind | None = None) -> list[Entry]:
-    """Return all calibrations of `bench`, of one kind or of every one, oldest first.
-
-    Raises:
-        ExceptionGroup: one BenchError per mistake in a row that golfbench did not write.
-    """
+def list_calibrations(database: Engine, bench: str) -> list[Entry | UnreadableEntry]:
+    """Return all calibrations of `bench` in the order in which they were entered."""
     c = CALIBRATIONS.c
-    wanted = select(CALIBRATIONS).where(c.bench == bench)
-    if kind is not None:
-        wanted = wanted.where(c.kind == kind.value)
+    return _stored(database, CALIBRATIONS, bench, (c.kind, c.subject), _entry)
+
+
+_Read = TypeVar("_Read")
+
+
+def _stored(
+    database: Engine,
+    table: Table,
+    bench: str,
+    names: tuple[ColumnElement[str], ColumnElement[str]],
+    read: Callable[[Any], _Read],
+) -> list[_Read | UnreadableEntry]:
+    """Return what `read` makes of each row of `bench`; `names` are the columns of kind and subject."""
+    c = table.c
+    rows = select(table).where(c.bench == bench)
+    places = select(c.id, c.version, *names).where(c.bench == bench).order_by(c.id)
+    found = list[_Read | UnreadableEntry]()
     with database.connect() as connection:
-        rows = connection.execute(wanted.order_by(c.date, c.id)).all()
-    return [_entry(row) for row in rows]
+        places_found = connection.execute(places).all()
+        parsed = _parsed(connection, rows)
+        for number, version, kind, subject in places_found:
+            try:
+                row = parsed.get(number) or connection.execute(rows.where(c.id == number)).one()
+                found.append(read(row))
+            except (ValueError, TypeError, AttributeError, ExceptionGroup) as error:
+                found.append(UnreadableEntry(kind, version, subject, _reason(error)))
+    return found
+
+
+def _reason(error: Exception) -> str:
+    """Return what is wrong with a row, without its place."""
+    mistakes = error.exceptions if isinstance(error, ExceptionGroup) else (error,)
+    return "; ".join(
+        f"{one.location.rpartition(': ')[2]} is {one.found}, expected {one.expected}"
+        if isinstance(one, BenchError)
+        else str(one)
+        for one in mistakes
+    )
+
+
+def _parsed(connection: Connection, rows: Select[Any]) -> dict[int, Any]:
+    """Return the rows by number; none if a date or JSON in one of them cannot be parsed."""
+    try:
+        return {row.id: row for row in connection.execute(rows)}
+    except (ValueError, TypeError):
+        return {}
 
 
 def effective_calibration(
     database: Engine, bench: str, when: datetime, *, club: str = "", required: bool = False
 ) -> Calibration:
-    """Return the calibrations in force on `bench` at `when` with `club` mounted: the newest of each kind.
+    """Return the calibrations in force on `bench` at `when` with `club` mounted: the last of each kind.
 
+    The order of entry counts: a calibration whose date was ahead of the clock does not stay the newest.
     `required` says that a kind without a calibration is a problem (a machine), not nominal (simulation).
     """
-    newest: dict[CalibrationKind, Entry] = {}
-    later: dict[CalibrationKind, Entry] = {}
+    newest: dict[str, Entry] = {}
+    later: dict[str, Entry] = {}
+    unreadable: dict[str, UnreadableEntry] = {}
     for entry in list_calibrations(database, bench):
-        if entry.subject in {"", club}:
-            (newest if entry.date <= when else later)[entry.kind] = entry
+        if entry.subject not in {"", club}:
+            continue
+        if isinstance(entry, UnreadableEntry):
+            newest.pop(entry.kind, None)
+            unreadable[entry.kind] = entry
+        elif entry.date <= when:
+            newest[entry.kind] = entry
+            later.pop(entry.kind, None)
+            unreadable.pop(entry.kind, None)
+        else:
+            later[entry.kind] = entry
     entries, others = (
         tuple(found[kind] for kind in CalibrationKind if kind in found) for found in (newest, later)
     )
-    return Calibration(bench, club, when, entries, required, others)
+    bad = tuple(unreadable[kind] for kind in CalibrationKind if kind in unreadable)
+    return Calibration(bench, club, when, entries, required, others, bad)
 
 
 def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
@@ -192,29 +238,27 @@ def add_aerodynamics(
     return AerodynamicsEntry(version, date, source, by, values)
 
 
-def list_aerodynamics(database: Engine, bench: str) -> list[AerodynamicsEntry]:
-    """Return all measurements of `bench`, by ball, oldest first.
+def list_aerodynamics(database: Engine, bench: str) -> list[AerodynamicsEntry | UnreadableEntry]:
+    """Return all measurements of `bench` in the order in which they were entered."""
+    kind = literal("aerodynamics")
+    return _stored(database, BALL_AERODYNAMICS, bench, (kind, BALL_AERODYNAMICS.c.ball), _aerodynamics)
 
-    Raises:
-        ExceptionGroup: one BenchError per mistake in a row that golfbench did not write.
-    """
-    c = BALL_AERODYNAMICS.c
-    query = select(c.version, c.date, c.source, c.by, c.content, c.ball).where(c.bench == bench)
-    with database.connect() as connection:
-        rows = connection.execute(query.order_by(c.ball, c.version)).all()
-    found = []
-    for row in rows:
-        location = f"aerodynamics of {row.ball}, version {row.version}"
-        values = checked_values(BallAerodynamics, row.content, location)
-        found.append(AerodynamicsEntry(row.version, row.date, row.source, row.by, values))
-    return found
+
+def _aerodynamics(row: Any) -> AerodynamicsEntry:
+    location = f"aerodynamics of {row.ball}, version {row.version}"
+    values = checked_values(BallAerodynamics, row.content, location)
+    return AerodynamicsEntry(row.version, row.date, row.source, row.by, values)
 
 
 def newest_aerodynamics(database: Engine, bench: str, balls: Iterable[str]) -> dict[str, AerodynamicsEntry]:
     """Return the newest measurement of each of `balls` that has one, by ball.
 
-    Raises as `list_aerodynamics`.
+    Raises:
+        BenchError: the newest one of a ball is unreadable.
     """
-    wanted = set(balls)
-    found = list_aerodynamics(database, bench)
-    return {entry.values.ball: entry for entry in found if entry.values.ball in wanted}
+    newest = {entry.subject: entry for entry in list_aerodynamics(database, bench)}
+    found = {ball: newest[ball] for ball in balls if ball in newest}
+    for entry in found.values():
+        if isinstance(entry, UnreadableEntry):
+            raise entry.problem
+    return {ball: entry for ball, entry in found.items() if isinstance(entry, AerodynamicsEntry)}

@@ -128,6 +128,11 @@ class AerodynamicsEntry:
     values: BallAerodynamics
 
     @property
+    def subject(self) -> str:
+        """Name of the ball."""
+        return self.values.ball
+
+    @property
     def text(self) -> str:
         """Coefficients with uncertainty, source and date, for people."""
         v = self.values

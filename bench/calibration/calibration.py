@@ -272,7 +272,7 @@ class Entry:
     @property
     def name(self) -> str:
         """Kind, subject and version for messages."""
-        return " ".join(filter(None, ("calibration", self.kind, self.subject, f"version {self.version}")))
+        return _name(self.kind, self.subject, self.version)
 
     def expired(self, now: datetime) -> bool:
         """Return whether it has expired at `now`."""
@@ -295,8 +295,45 @@ class Entry:
         }
 
 
+@dataclass(frozen=True)
+class UnreadableEntry:
+    """One stored calibration that cannot be read."""
+
+    kind: str
+    """Kind as stored; "aerodynamics" for a ball."""
+    version: int
+    subject: str
+    """Club or ball; empty if the kind has none."""
+    reason: str
+
+    @property
+    def name(self) -> str:
+        """Kind, subject and version for messages."""
+        return _name(self.kind, self.subject, self.version)
+
+    @property
+    def problem(self) -> CalibrationProblem:
+        """The row with its mistake and the command that supersedes it."""
+        fact, expected = f"in the database is unreadable ({self.reason})", "a row as golfbench writes it"
+        action = " ".join(filter(None, ("golfbench calibrate", self.kind, self.subject)))
+        return CalibrationProblem(Block.UNREADABLE, self.name, fact, expected, action)
+
+    @property
+    def text(self) -> str:
+        """The problem for people."""
+        return self.problem.text
+
+    def record(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return asdict(self)
+
+
+def _name(kind: str, subject: str, version: int) -> str:
+    return " ".join(filter(None, ("calibration", kind, subject, f"version {version}")))
+
+
 class CalibrationProblem(Refused):
-    """Calibration that blocks arming: missing, expired or dated in the future."""
+    """Calibration that blocks arming: missing, unreadable, expired or dated in the future."""
 
     def __init__(self, code: Block, location: str, found: str, expected: str, action: str) -> None:
         super().__init__(location, found, expected, action)
@@ -321,11 +358,13 @@ class Calibration:
     required: bool = False
     """Whether a missing calibration is a problem: with a machine, not in simulation."""
     later: tuple[Entry, ...] = field(default=())
-    """Those dated after `when`, which are not in force: the clock was set back since."""
+    """Newer ones dated after `when`, which are not in force: the clock was set back since."""
+    unreadable: tuple[UnreadableEntry, ...] = field(default=())
+    """Newest of kinds, none of which is in force then."""
 
     @property
     def nominal(self) -> tuple[CalibrationKind, ...]:
-        """The kinds that were never calibrated."""
+        """The kinds that have no calibration in force."""
         return tuple(kind for kind in CalibrationKind if self.of(kind) is None)
 
     def of(self, kind: CalibrationKind) -> Entry | None:
@@ -357,8 +396,12 @@ class Calibration:
                 )
         for entry in self.later:
             fact = f"is of {entry.date:%Y-%m-%d %H:%M} UTC, later than this machine's clock"
-            expected, action = "a date before now", "set the clock"
+            expected, action = (
+                "a date before now",
+                f"set the clock; if it is right, golfbench calibrate {entry.kind}",
+            )
             found.append(CalibrationProblem(Block.CALIBRATION_AHEAD, entry.name, fact, expected, action))
+        found += [entry.problem for entry in self.unreadable]
         return found + (self._of_machine() if self.required else [])
 
     def _of_machine(self) -> list[CalibrationProblem]:
@@ -373,7 +416,8 @@ class Calibration:
             if isinstance(entry.values, SeenInputs)
             for text in entry.values.findings
         ]
-        for kind in self.nominal:
+        unreadable = {entry.kind for entry in self.unreadable}
+        for kind in (kind for kind in self.nominal if kind not in unreadable):
             name = f"club {self.club}" if kind is CalibrationKind.CLUB else kind
             where, code = f"{name} of bench {self.bench}", Block.CALIBRATION_MISSING
             expected, action = "a calibration in force, as on every machine", f"golfbench calibrate {kind}"
@@ -389,6 +433,7 @@ class Calibration:
             "in_force": [entry.record() for entry in self.entries],
             "expired": [entry.kind.value for entry in self.entries if entry.expired(self.when)],
             "nominal": [kind.value for kind in self.nominal],
+            "unreadable": [entry.record() for entry in self.unreadable],
         }
 
     def summary(self) -> str:
@@ -396,6 +441,7 @@ class Calibration:
         parts = [f"{entry.kind} version {entry.version} of {entry.date:%Y-%m-%d}" for entry in self.entries]
         if self.nominal:
             parts.append(f"nominal: {', '.join(self.nominal)}")
+        parts += [f"unreadable: {entry.kind} version {entry.version}" for entry in self.unreadable]
         return "; ".join(parts)
 
 

@@ -179,6 +179,7 @@ def assess(
             warnings.append(note)
     else:
         found += rate_faults(profile, c.plant, str(file))
+        found += [entry.problem for entry in calibration.unreadable]  # a running bench reports them itself
     tee = calibration.of(CalibrationKind.BALL)
     designed = _as_designed(configuration, c, profile)
     checks = check_profile(profile, designed, c.envelope, str(file), tee.name if tee else "plant.site")

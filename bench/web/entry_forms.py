@@ -209,6 +209,8 @@ def bench_values(configuration: Configuration) -> dict[str, Any]:
         entry = calibration.of(kind)
         nominal = "not checked" if kind is CalibrationKind.INPUTS else "nominal, as the configuration has it"
         missing = "missing" if calibration.required else nominal
+        if any(bad.kind == kind for bad in calibration.unreadable):
+            missing = "unreadable"
         entries.append(
             {
                 "kind": kind.value,

@@ -28,7 +28,14 @@ from bench.commands.common.output import plain_table
 from bench.commands.machine.calibrate_measured import By, aerodynamics, inputs
 
 if TYPE_CHECKING:
-    from bench.calibration.calibration import Calibration, CalibrationKind, Entry, ReplacedValues
+    from bench.calibration.calibration import (
+        Calibration,
+        CalibrationKind,
+        EncoderZeros,
+        Entry,
+        ReplacedValues,
+        UnreadableEntry,
+    )
     from bench.config import Configuration
     from sim.plant import Encoders
 
@@ -220,20 +227,20 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
     """Show all calibrations of this bench, also superseded ones."""
     from bench.calibration.archive import calibration_of, list_aerodynamics, list_calibrations
     from bench.calibration.ball_aerodynamics import AerodynamicsEntry
-    from bench.calibration.calibration import Entry
+    from bench.calibration.calibration import Entry, UnreadableEntry
     from bench.config import database_url
     from bench.store.database import is_there, open_database
 
     configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     bench = configuration.bench
-    entries, balls = list[Entry](), list[AerodynamicsEntry]()
+    entries, balls = list[Entry | UnreadableEntry](), list[AerodynamicsEntry | UnreadableEntry]()
     if is_there(url := database_url(bench.database, bench.data_dir)):
         with open_database(url, now) as database:
             entries = list_calibrations(database, bench.id)
             balls = list_aerodynamics(database, bench.id)
     if json_:
         records = [entry.record() for entry in entries]
-        records += [{"kind": "aerodynamics", "subject": e.values.ball, **e.record()} for e in balls]
+        records += [{"kind": "aerodynamics", "subject": e.subject, **e.record()} for e in balls]
         return show_json(records)
     if entries:
         Console().print(listing(entries, calibration_of(configuration, now), now))
@@ -241,8 +248,8 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
         typer.echo(
             f"bench {bench.id} was never calibrated: all values are nominal, as the configuration has them"
         )
-    for ball_entry in balls:
-        typer.echo(f"aerodynamics of {ball_entry.values.ball}: {ball_entry.text}")
+    for one in sorted(balls, key=lambda one: one.subject):
+        typer.echo(f"aerodynamics of {one.subject}: {one.text}")
 
 
 @app.command()
@@ -328,7 +335,7 @@ def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) ->
 def _require_known_zeros(
     zeros: Three, sign: tuple[int, int, int], c: Configuration, *known: EncoderZeros | Encoders
 ) -> None:
-    """Raise BenchError if `zeros` are near none of `known`; default zeros, and other encoders, are unknown."""
+    """Raise BenchError if `zeros` are near none of `known`; default ones and other encoders are unknown."""
     from drivers.base import JOINTS
     from sim.plant import Encoders
 
@@ -384,17 +391,21 @@ def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
     return found or ("", "", "")
 
 
-def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> Table:
+def listing(entries: Sequence[Entry | UnreadableEntry], in_force: Calibration, now: datetime) -> Table:
     """Return all `entries`, the newest of each kind last, each with who, how and why."""
-    from bench.calibration.calibration import CalibrationKind, in_words
+    from bench.calibration.calibration import CalibrationKind, UnreadableEntry, in_words
 
     table = Table.grid(padding=(0, 2, 1, 0))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
-    for entry in sorted(entries, key=lambda entry: (list(CalibrationKind).index(entry.kind), entry.version)):
+    order = {kind.value: place for place, kind in enumerate(CalibrationKind)}
+    for entry in sorted(entries, key=lambda one: (order.get(one.kind, len(order)), one.version)):
         title = Text.assemble(
             (" ".join(filter(None, (entry.kind, entry.subject))), "bold"), f"\nversion {entry.version}\n"
         )
+        if isinstance(entry, UnreadableEntry):
+            table.add_row(title.append("unreadable", "bold red"), Text(entry.text))
+            continue
         title.append_text(_mark(entry, in_force, now))
         lines = (
             f"{entry.date:%Y-%m-%d %H:%M} to {entry.expires:%Y-%m-%d %H:%M} UTC, by {entry.by}",
@@ -414,6 +425,8 @@ def overview(in_force: Calibration, now: datetime) -> Table:
         entry = in_force.of(kind)
         if entry is None:
             mark = Text("missing", "bold red") if in_force.required else Text("nominal", "dim")
+            if any(bad.kind == kind for bad in in_force.unreadable):
+                mark = Text("unreadable", "bold red")
             table.add_row(kind, "", "", "", "as the configuration has it", mark)
             continue
         table.add_row(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -13,6 +14,7 @@ import pytest
 from sqlalchemy import Engine
 
 from bench.base.errors import BenchError
+from bench.base.lifecycle import Block
 from bench.calibration.archive import (
     add_calibration,
     calibration_of,
@@ -24,6 +26,8 @@ from bench.calibration.calibration import (
     CalibrationKind,
     ClubInMount,
     EncoderZeros,
+    Entry,
+    UnreadableEntry,
     Values,
     ValveCentres,
     content_of,
@@ -112,11 +116,56 @@ def test_effective_calibration_uses_only_mounted_club(database: Engine) -> None:
         assert (entry and entry.version) == version
 
 
-def test_add_calibration_older_date_is_refused(database: Engine) -> None:
-    add(database, BALL, NOW)
-    with pytest.raises(BenchError, match="superseded by a later one"):
-        add(database, BALL, NOW - DAY)
-    assert len(list_calibrations(database, "b")) == 1
+def test_add_calibration_supersedes_date_ahead_of_clock(database: Engine) -> None:
+    add(database, BALL, NOW + 3650 * DAY)
+    (problem,) = effective_calibration(database, "b", NOW).problems(NOW)
+    assert problem.action.endswith("golfbench calibrate ball")
+    entry = add(database, BALL, NOW)
+    found = effective_calibration(database, "b", NOW)
+    assert (found.entries, found.problems(NOW)) == ((entry,), [])
+    assert effective_calibration(database, "b", NOW + 3660 * DAY).of(CalibrationKind.BALL) == entry
+
+
+DAMAGED = [
+    {"content": {"x": 9.0, "y": -1.56, "uncertainty": 1e-3}},
+    {"content": [1, 2]},
+    {"content": None},
+    {"date": "yesterday"},
+    {"content": "no JSON"},
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGED, ids=str)
+def test_effective_calibration_unreadable_newest_row_blocks_only_its_kind(
+    database: Engine, damage: dict[str, Any]
+) -> None:
+    add(database, BALL)
+    entry = add(database, ZEROS)
+    add_damaged(database, damage)
+    found = effective_calibration(database, "b", NOW)
+    assert found.entries == (entry,)
+    assert CalibrationKind.BALL in found.nominal
+    (problem,) = found.problems(NOW)
+    assert (problem.code, problem.location) == (Block.UNREADABLE, "calibration ball version 2")
+    assert problem.action == "golfbench calibrate ball"
+    assert [type(one) for one in list_calibrations(database, "b")] == [Entry, Entry, UnreadableEntry]
+    newer = add(database, BALL)
+    assert (newer.version, effective_calibration(database, "b", NOW).problems(NOW)) == (3, [])
+
+
+def add_damaged(database: Engine, damage: dict[str, Any]) -> None:
+    """Add version 2 of the ball with `damage` by another program."""
+    values = {"content": content_of(BALL), "date": str(NOW.replace(tzinfo=None))} | damage
+    if values["content"] != "no JSON":
+        values["content"] = json.dumps(values["content"])
+    row = {"expires": str((NOW + DAY).replace(tzinfo=None)), "by": "x", "method": "x", "note": ""} | values
+    with database.begin() as connection:
+        connection.exec_driver_sql(
+            "INSERT INTO calibrations "
+            "(bench, kind, version, subject, date, expires, by, method, note, content) "
+            "VALUES ('b', 'ball', 2, '', :date, :expires, :by, :method, :note, :content)",
+            row,
+        )
 
 
 @pytest.mark.parametrize(

@@ -164,10 +164,18 @@ def test_newest_aerodynamics_returns_latest_version(database: Engine) -> None:
     for source in ("indoor range", "radar on range 2"):
         add_aerodynamics(database, "b", values, date=NOW, source=source, by="Ann")
     add_aerodynamics(database, "other", values, date=NOW, source="x", by="Ann")
-    assert [(e.version, e.source) for e in list_aerodynamics(database, "b")] == [
+    assert [(e.version, e.record()["source"]) for e in list_aerodynamics(database, "b")] == [
         (1, "indoor range"),
         (2, "radar on range 2"),
     ]
+    with database.begin() as connection:
+        connection.exec_driver_sql(
+            "INSERT INTO ball_aerodynamics (bench, ball, version, date, source, by, content) "
+            "VALUES ('b', 'z', 1, '2026-11-21 12:00:00', 'radar', 'Ann', '{}')"
+        )
+    assert "golfbench calibrate aerodynamics z" in list_aerodynamics(database, "b")[-1].text
+    with pytest.raises(BenchError, match="calibration aerodynamics z version 1"):
+        newest_aerodynamics(database, "b", ["x", "z"])
     newest = newest_aerodynamics(database, "b", ["x", "y"])
     assert newest.keys() == {"x"}
     assert newest["x"].values == values

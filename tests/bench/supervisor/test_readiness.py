@@ -212,6 +212,23 @@ def test_assess_expired_and_future_calibrations_block(
     assert codes(configuration) == [Block.CALIBRATION_EXPIRED, Block.CALIBRATION_AHEAD]
 
 
+def test_assess_unreadable_calibration_refuses_simulation(
+    configuration: Configuration, calibrate: Calibrate
+) -> None:
+    calibrate(MET)
+    with (
+        open_database(database_url("", configuration.bench.data_dir), NOW) as database,
+        database.begin() as connection,
+    ):
+        connection.exec_driver_sql(
+            "INSERT INTO calibrations "
+            "SELECT 2, bench, kind, 2, subject, date, expires, \"by\", method, note, '{}' FROM calibrations"
+        )
+    assert codes(configuration) == [Block.UNREADABLE]
+    (fault,) = assess_bench(configuration, NOW).faults
+    assert (fault.location, fault.action) == ("calibration ball version 2", "golfbench calibrate ball")
+
+
 def test_assess_configuration_contradicting_calibration_blocks(
     configuration: Configuration, calibrate: Calibrate
 ) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from math import pi, radians
 from pathlib import Path
@@ -190,6 +192,32 @@ def test_calibrate_encoders_zero_far_from_present_one_needs_option(
     near = [*POSE[:4], "-30.5", "236.5", "350.5", *counts]
     assert golfbench("calibrate", *near)[0] == 0
     assert golfbench("calibrate", *other, "--remounted")[0] == 0
+
+
+def test_calibration_unreadable_row_is_shown_with_cure_and_superseded(golfbench: Run, tmp_path: Path) -> None:
+    assert golfbench("calibrate", *POSE, "--counts", "100", "131000", "7")[0] == 0
+    with closing(sqlite3.connect(tmp_path / "data" / "golfbench.sqlite")) as plain, plain:
+        plain.execute(
+            "INSERT INTO calibrations "
+            "SELECT 2, bench, 'ball', 1, '', date, expires, \"by\", method, note, '{}' FROM calibrations"
+        )
+    code, text, _ = golfbench("calibrate", "list")
+    assert (code, "in force" in text, "calibration ball version 1 in the database is unreadable" in text) == (
+        0,
+        True,
+        True,
+    )
+    code, text, _ = golfbench("calibrate", "show")
+    assert (code, "in force" in text, "golfbench calibrate ball" in text) == (1, True, True)
+    code, text, errors = golfbench("check")
+    assert (code, "unreadable: ball version 1" in text, "golfbench calibrate ball" in errors) == (
+        1,
+        True,
+        True,
+    )
+    assert [one["version"] for one in json.loads(golfbench("calibrate", "list", "--json")[1])] == [1, 1]
+    assert golfbench("calibrate", *BALL)[0] == 0
+    assert golfbench("check")[0] == 0
 
 
 def test_calibrate_encoders_after_exchange_supersedes_other_resolution(
