@@ -222,6 +222,10 @@ class DatabaseAway(DatabaseLocked):
     action = "Start the server or restore the connection to it, then retry."
 
 
+_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
+"""First letters of SQLite's errors about the content of a file."""
+
+
 def is_busy(error: DatabaseError) -> bool:
     """Return whether `error` says that another process holds the database for now."""
     held = "locked" in str(error.orig) or getattr(error.orig, "sqlstate", None) == _LOCK_TIMEOUT
@@ -351,23 +355,32 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
     except IntegrityError:
         raise
     except DatabaseError as error:
-        if is_busy(error):
-            raise DatabaseLocked(location, BUSY_TIMEOUT) from error
-        if is_away(error):
-            raise DatabaseAway(location, 0.0) from error
-        if read_only and _log_of(Path(location)).exists():
-            found = f"{str(error.orig).strip()}: read-only, with changes in {_log_of(Path(location)).name}"
-            expected = "a database that was closed, or one that can be written"
-            action = "Copy its folder to a disk that can be written, and read it there."
-            raise BenchError(location, found, expected, action) from error
-        expected = "a database of golfbench that can be read and written"
-        action = "Check that this user may write to it and its folder, and that the disk has room."
-        fault = BenchError(location, str(error.orig).strip(), expected, action)
-        if isinstance(error, OperationalError):  # a damaged file is another error
-            fault.exit_code = ExitCode.FILE
-        raise fault from error
+        raise _fault_of(error, location, read_only=read_only) from error
     finally:
         engine.dispose()
+
+
+def _fault_of(error: DatabaseError, location: str, *, read_only: bool) -> BenchError:
+    """Return `error` of the database at `location` with its cure."""
+    if is_busy(error):
+        return DatabaseLocked(location, BUSY_TIMEOUT)
+    if is_away(error):
+        return DatabaseAway(location, 0.0)
+    found, is_file_fault = str(error.orig).strip(), isinstance(error, OperationalError)
+    expected = "a database of golfbench that can be read and written"
+    action = "Check that this user may write to it and its folder, and that the disk has room."
+    if getattr(error.orig, "sqlite_errorname", "").startswith(_DAMAGED):
+        found, expected, is_file_fault = f"damaged: {found}", "an intact SQLite database of golfbench", True
+        action = f"Restore a copy of it, save its rows by sqlite3 {location} .recover, or set bench.database."
+    elif read_only and _log_of(Path(location)).exists():
+        found = f"{found}: read-only, with changes in {_log_of(Path(location)).name}"
+        expected = "a database that was closed, or one that can be written"
+        action = "Copy its folder to a disk that can be written, and read it there."
+        is_file_fault = False
+    fault = BenchError(location, found, expected, action)
+    if is_file_fault:
+        fault.exit_code = ExitCode.FILE
+    return fault
 
 
 def is_read_only(file: Path) -> bool:

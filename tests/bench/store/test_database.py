@@ -118,6 +118,19 @@ def test_open_database_foreign_file_is_refused(tmp_path: Path, content: bytes | 
     assert found in refusal.value.found
 
 
+@pytest.mark.parametrize("whole", [True, False])
+def test_open_database_damaged_file_names_damage(tmp_path: Path, whole: bool) -> None:
+    url, file = database_url("", tmp_path), tmp_path / "golfbench.sqlite"
+    with open_database(url, NOW):
+        pass
+    content = file.read_bytes()
+    file.write_bytes(b"x" * len(content) if whole else content[:4096] + b"x" * (len(content) - 4096))
+    with pytest.raises(BenchError) as refusal, open_database(url, NOW):
+        pass
+    assert (refusal.value.exit_code, refusal.value.found[:9]) == (ExitCode.FILE, "damaged: ")
+    assert ".recover" in refusal.value.action
+
+
 @pytest.mark.live
 def test_open_database_locked_raises_after_busy_timeout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
