@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from math import pi, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -72,6 +72,8 @@ Uncertainty = Annotated[
 ]
 Day = Annotated[str | None, option("Day of the measurement, YYYY-MM-DD.", "DATE", shown="today")]
 By = Annotated[str, option("Person who measured.", "NAME", shown="user@host")]
+_FIRST_DAY = date(2000, 1, 1)
+"""Earliest plausible day of a measurement."""
 Store = Annotated[bool, flag("--store/--no-store", "Store the result, or only print it.")]
 
 
@@ -95,11 +97,24 @@ def aerodynamics(
     Campaigns with carry = "measured" fly every launch with the newest coefficients of its ball. The scatter
     of the device weights the figures; the uncertainty of its calibration is common to all flights and added.
     """
+    _require_ball(ball, context.ensure_object(Session).configuration().balls)
     spread = _uncertainty("--scatter", scatter or (), _SCATTER)
     common = _uncertainty("--uncertainty", uncertainty or (), dict.fromkeys(_SCATTER, 0.0))
     day = _day(measured)
     values = _fitted(ball, flights, points, spread, common, mass_g / 1e3, diameter_mm / 2e3)
     _keep(context, values, day, source, by or user_name(), store=store, json_=json_)
+
+
+def _require_ball(name: str, configured: Iterable[str]) -> None:
+    """Refuse an empty name and another spelling of a `configured` one; warn of a new name."""
+    known = list(configured)
+    meant = [one for one in known if one != name and one.casefold() == name.strip().casefold()]
+    if not name.strip() or name != name.strip() or (meant and name not in known):
+        action = f"Did you mean {meant[0]}?" if meant else "Name the ball as plans and the configuration do."
+        expected = f"a name such as {', '.join(known)}"
+        raise BenchError("calibrate aerodynamics: BALL", repr(name), expected, action)
+    if name not in known:
+        typer.echo(f"warning: the configuration has no ball {name}; plans must name it like this.", err=True)
 
 
 def _fitted(
@@ -188,7 +203,7 @@ def _uncertainty(option: str, given: Sequence[str], default: Mapping[str, float]
 
 
 def _day(text: str | None) -> datetime:
-    """Return noon (UTC) of the day in `text`; now without one."""
+    """Return noon (UTC) of the day in `text`, now at the latest; now without one."""
     now = datetime.now(UTC)
     if text is None:
         return now
@@ -196,14 +211,15 @@ def _day(text: str | None) -> datetime:
         day = datetime.strptime(text, "%Y-%m-%d").replace(hour=12, tzinfo=UTC)
     except ValueError:
         day = None
-    if day is None or day.date() > now.date() + timedelta(days=1):  # it may be tomorrow east of here
+    tomorrow = now.date() + timedelta(days=1)  # it may be tomorrow east of here
+    if day is None or not _FIRST_DAY <= day.date() <= tomorrow:
         raise BenchError(
             "calibrate aerodynamics: --measured",
             repr(text),
-            f"a day up to today, {now:%Y-%m-%d}",
+            f"a day from {_FIRST_DAY} to today, {now:%Y-%m-%d}",
             "Give the day of the measurement as --measured YYYY-MM-DD.",
         )
-    return day
+    return min(day, now)
 
 
 def inputs(

@@ -391,7 +391,12 @@ def test_calibrate_aerodynamics_fits_stores_and_lists_drag(golfbench: Run, tmp_p
     assert "aerodynamics of tour: drag 1.0300" in golfbench("calibrate", "list")[1]
     (record,) = json.loads(golfbench("calibrate", "list", "--json")[1])
     assert (record["kind"], record["subject"], record["source"]) == ("aerodynamics", "tour", "radar, range 2")
-    for day in ("tomorrow", "2999-01-01"):
+    for ball in ("", " ", "tour ", "Tour"):
+        code, _, errors = golfbench("calibrate", "aerodynamics", ball, *command[3:])
+        assert (code, "aerodynamics: BALL" in errors, repr(ball) in errors) == (2, True, True)
+    code, _, errors = golfbench("calibrate", "aerodynamics", "premium", *command[3:], "--no-store")
+    assert (code, "no ball premium" in errors) == (0, True)
+    for day in ("tomorrow", "2999-01-01", "1900-01-01"):
         code, _, errors = golfbench(*command, "--measured", day)
         assert (code, "--measured" in errors) == (2, True)
     code, _, errors = golfbench(*command, "--mass-g", "0.04593")
