@@ -132,7 +132,7 @@ def _stored(
 
 
 def _reason(error: Exception) -> str:
-    """Return what is wrong with a row, without its place."""
+    """Return the mistakes in a row, without its place."""
     mistakes = error.exceptions if isinstance(error, ExceptionGroup) else (error,)
     return "; ".join(
         f"{one.location.rpartition(': ')[2]} is {one.found}, expected {one.expected}"

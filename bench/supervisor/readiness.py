@@ -185,21 +185,11 @@ def assess(
     checks = check_profile(profile, designed, c.envelope, str(file), tee.name if tee else "plant.site")
     limits = ""
     real, model = running and c.is_machine, c.envelope.model
-    for old in filter(None, (outdated(one, configuration) for one in replaced)):
-        if real:
-            found.append(old)
-        else:
-            warnings.append(str(old))
-    inputs = calibration.of(CalibrationKind.INPUTS)
-    if real and inputs is not None and is_rewired(inputs.values, c):
-        found.append(
-            BenchError(
-                inputs.name,
-                "a check with other driver settings",
-                "a check of the inputs with the settings in force",
-                f"Run golfbench calibrate {inputs.kind}.",
-            )
-        )
+    old = [fault for one in replaced if (fault := outdated(one, configuration))]
+    if real:
+        found += old + _rewired(calibration, c)
+    else:
+        warnings += map(str, old)
     chambers_have_sensors, valves_have_feedback = _fitted_sensors(c)
     if model.check == "off":
         reason = model.off_reason.strip()
@@ -233,6 +223,15 @@ def _contradictions(c: Configuration, replaced: Iterable[ReplacedValues]) -> lis
         file, _, key = fault.location.rpartition(": ")
         fault.location = f"{sources.get(key, file)}: {key}"
     return found
+
+
+def _rewired(calibration: Calibration, c: Configuration) -> list[BenchError]:
+    """Return the fault of a check of the inputs with other wiring, if it is so."""
+    inputs = calibration.of(CalibrationKind.INPUTS)
+    if inputs is None or not is_rewired(inputs.values, c):
+        return []
+    found, expected = "a check with other driver settings", "a check of the inputs with the settings in force"
+    return [BenchError(inputs.name, found, expected, f"Run golfbench calibrate {inputs.kind}.")]
 
 
 def _fitted_sensors(c: Configuration) -> tuple[bool, bool]:

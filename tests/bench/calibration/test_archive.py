@@ -136,7 +136,7 @@ DAMAGED = [
 
 
 @pytest.mark.parametrize("damage", DAMAGED, ids=str)
-def test_effective_calibration_unreadable_newest_row_blocks_only_its_kind(
+def test_effective_calibration_unreadable_newest_row_blocks_same_kind_only(
     database: Engine, damage: dict[str, Any]
 ) -> None:
     add(database, BALL)
