@@ -582,8 +582,8 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
     corrected = _corrected(configuration, values, location)
     match values:
         case BallPosition(x, y):
-            site = configuration.plant.site
-            _require_near(location, "plant.site", hypot(x - site.ball_x, y - site.ball_y), _BALL_MOVED)
+            site, key = configuration.plant.site, configuration.site_key
+            _require_near(location, key, hypot(x - site.ball_x, y - site.ball_y), _BALL_MOVED)
         case ClubInMount(name):
             _require_club(f"{location} {name}", f"clubs.{name}", values, configuration.clubs[name])
         case ValveCentres():

@@ -169,6 +169,11 @@ class Configuration:
             return self
         return replace(self, plant=self.plant_with(club=name), swing=replace(self.swing, club=name))
 
+    @property
+    def site_key(self) -> str:
+        """Key of the site of the mounted club, for messages."""
+        return f"plant.site or sites.{self.swing.club}" if self.sites else "plant.site"
+
     def plant_of(self, name: str, club: Club) -> PlantParameters:
         """Return the plant with `club` on the site of the club called `name`."""
         plant = replace(self.plant, robot=replace(self.plant.robot, club=club))

@@ -182,7 +182,7 @@ def assess(
         found += [entry.problem for entry in calibration.unreadable]  # a running bench reports them itself
     tee = calibration.of(CalibrationKind.BALL)
     designed = _as_designed(configuration, c, profile)
-    checks = check_profile(profile, designed, c.envelope, str(file), tee.name if tee else "plant.site")
+    checks = check_profile(profile, designed, c.envelope, str(file), tee.name if tee else c.site_key)
     limits = ""
     real, model = running and c.is_machine, c.envelope.model
     old = [fault for one in replaced if (fault := outdated(one, configuration))]

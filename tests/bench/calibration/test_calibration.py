@@ -193,6 +193,12 @@ def test_require_plausible_valve_far_from_commissioned_value_is_refused(shipped:
     require_plausible(replace(measured, centre=(-0.01, 0.0, 0.0)), commissioned)
 
 
+def test_require_plausible_ball_far_from_site_of_club_names_site() -> None:
+    with pytest.raises(BenchError) as refusal:
+        require_plausible(BallPosition(0.5, -1.5, 0.0), load_configuration(Path("bag")).with_club("iron7"))
+    assert "plant.site or sites.iron7" in refusal.value.found
+
+
 def test_require_plausible_ball_below_ground_is_refused(shipped: Configuration) -> None:
     with pytest.raises(ExceptionGroup) as group:
         require_plausible(BallPosition(0.25, -1.62, 1e-3), shipped)
