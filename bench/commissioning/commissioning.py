@@ -5,24 +5,28 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from hashlib import sha256
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NotRequired, TypedDict, TypeVar, get_type_hints
 
 import numpy as np
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import NotStored, atomic_file
 from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import read_text
+from bench.base.json_schema import require_fit
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
 from bench.commissioning.machine.inputs import OperatorIO
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.machine.step import (
+    LEARNED_FILE,
     SWING_FILE,
     CommissioningStep,
     MachineFault,
@@ -43,11 +47,12 @@ from bench.commissioning.swings.robot_swings import LIMITS, with_following_limit
 from bench.commissioning.swings.speed_ramp import LEARNING, SWINGS
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot
 from bench.config import Configuration
+from bench.control.measured_plant import value_at
 from bench.supervisor.ownership import try_lock
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 
-STATE_FILE, _LOCK_FILE = "commissioning.json", "process"
+STATE_FILE, ROBOT_FILE, _LOCK_FILE = "commissioning.json", "robot.toml", "process"
 _VERSION = 1
 _REPEATS = 9
 """Max repetitions of a measuring step that a stall of the computer ended."""
@@ -56,6 +61,8 @@ STEPS = (WIRING, VALVES, LEAKAGE, FRICTION, RESPONSE)
 """The steps that measure, in their order."""
 SWINGING_STEPS = (SWINGS, LEARNING, LIMITS)
 """The steps after them."""
+_FILES = {SWINGS.name: SWING_FILE, LEARNING.name: LEARNED_FILE}
+"""Files without which a step is repeated."""
 ALL_STEPS: tuple[NamedStep, ...] = (INPUT_CHECK, *STEPS, *SWINGING_STEPS)
 
 
@@ -86,6 +93,22 @@ class FaultRecord(NamedTuple):
     action: str
 
 
+_Part = TypeVar("_Part", DoneStep, FaultRecord, ParameterEstimate)
+
+
+class _StoredState(TypedDict):
+    """Content of the state's file."""
+
+    version: int
+    digest: str
+    configuration: str
+    simulated: bool
+    robot: str
+    robot_text: NotRequired[str]
+    done: tuple[DoneStep, ...]
+    wrong: FaultRecord | None
+
+
 @dataclass
 class Commissioning:
     """State of a commissioning in its folder."""
@@ -100,6 +123,8 @@ class Commissioning:
     """File of the robot that truly moved last, simulated; empty: the configured one."""
     done: list[DoneStep] = field(default_factory=list)
     wrong: FaultRecord | None = None
+    robot_text: str = ""
+    """Text of robot.toml as last written here."""
 
     @property
     def values(self) -> list[ParameterEstimate]:
@@ -119,6 +144,7 @@ class Commissioning:
             "configuration": self.configuration,
             "simulated": self.simulated,
             "robot": self.robot,
+            "robot_text": self.robot_text,
             "done": [
                 step._asdict() | {"values": [value._asdict() for value in step.values]} for step in self.done
             ],
@@ -131,61 +157,90 @@ class Commissioning:
 def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume: bool) -> Commissioning:
     """Return the commissioning in `folder`: a new one, or with `resume` the existing one.
 
-    Nothing is written before its `save`.
+    Steps are repeated from the first one whose file is missing, and all of them after a machine fault: the
+    values may be those of a part that was replaced since. Nothing is written before its `save`.
 
     Raises:
-        BenchError: one exists already, none exists to resume, or it has another configuration.
+        BenchError: one exists already, none exists to resume, it has another configuration, or robot.toml
+            was edited.
     """
     digest = robot_digest(configuration, simulated=simulated)
-    path = folder / STATE_FILE
-    if not resume:
+    path, file = folder / STATE_FILE, str(configuration.files[-1].resolve())
+    if resume:
+        state = read_state(folder)
+        measured = any(step.name != INPUT_CHECK.name for step in state.done)
+        if state.simulated != simulated or (state.digest != digest and (simulated or measured)):
+            kind = "simulated" if state.simulated else "not simulated"
+            expected = f"the robot and wiring of {state.configuration}, {kind}"
+            action = "Continue with the same --config and --sim, or begin in another folder."
+            raise BenchError(str(path), "another configured robot", expected, action)
+        if state.digest != digest:
+            state.digest, state.configuration = digest, file
+        lost = (i for i, one in enumerate(state.done) if not (folder / _FILES.get(one.name, "")).exists())
+        state.done = state.done[: 0 if state.wrong else next(lost, None)]
+        state.wrong = None
+    else:
         if path.exists():
             action = "Continue it with --resume, or name another folder."
             raise BenchError(str(path), "an existing commissioning", "an empty folder", action)
-        file = str(configuration.files[-1].resolve())
-        return Commissioning(folder, digest, file, simulated)
-    state = read_state(folder)
-    kept = simulated or any(step.name != INPUT_CHECK.name for step in state.done)
-    if state.simulated != simulated or (state.digest != digest and kept):
-        kind = "simulated" if state.simulated else "not simulated"
-        expected = f"the robot and wiring of {state.configuration}, {kind}"
-        action = "Continue with the same --config and --sim, or begin in another folder."
-        raise BenchError(str(path), "another configured robot", expected, action)
-    state.digest, state.wrong = digest, None
+        above = next(one for one in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(one))
+        if not above.is_dir():
+            raise NotStored(str(above), "no folder", "a folder", "Name another one with --output.")
+        state = Commissioning(folder, digest, file, simulated)
+    require_unedited(state)
     return state
+
+
+def require_unedited(state: Commissioning) -> None:
+    """Raise Refused if robot.toml in the folder of `state` is not as it was written there."""
+    path = state.folder / ROBOT_FILE
+    if not path.exists():
+        return
+    action = "Move it to another name, or delete it; a change that stays goes into a file with it as `base`."
+    found, written = read_text(path, "a text", action).splitlines(), state.robot_text.splitlines()
+    for number, (one, before) in enumerate(zip_longest(found, written), 1):
+        if one != before:
+            change = "missing" if one is None else repr(one)
+            raise Refused(f"{path}: line {number}", change, f"{before!r}, as written", action)
 
 
 def read_state(folder: Path) -> Commissioning:
     """Return the state stored in `folder`.
 
     Raises:
-        BenchError: it is missing or cannot be read.
+        BenchError: it is missing, or a value in it is invalid.
     """
-    path = folder / STATE_FILE
+    path, action = folder / STATE_FILE, "Begin again in another folder."
+    location = f"{path}: state"
+    text = read_text(path, "an existing commissioning", "Begin without --resume.")
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if content["version"] != _VERSION:
-            raise ValueError(f"version {content['version']}")
-        done = [
-            DoneStep(
-                **step
-                | {
-                    "values": tuple(ParameterEstimate(**value) for value in step["values"]),
-                    "notes": tuple(step["notes"]),
-                }
-            )
-            for step in content["done"]
-        ]
-        wrong = None if content["wrong"] is None else FaultRecord(**content["wrong"])
-        digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
-        robot = str(content["robot"])
-        return Commissioning(folder, digest, configuration, simulated, robot, done, wrong)
-    except FileNotFoundError:
-        action = "Begin without --resume."
-        raise BenchError(str(path), "no such file", "an existing commissioning", action) from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        action = "Begin again in another folder."
-        raise BenchError(str(path), str(error), "the state of a commissioning", action) from None
+        content: Any = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BenchError(str(path), f"no JSON: {error}", "the state of a commissioning", action) from None
+    require_fit(content, _StoredState, location, action)
+    stored: _StoredState = content
+    if stored["version"] != _VERSION:
+        found = f"version {stored['version']}"
+        raise BenchError(f"{location}.version", found, f"version {_VERSION}", action)
+    done = []
+    for i, step in enumerate(content["done"]):
+        values = tuple(_stored(ParameterEstimate, value) for value in step["values"])
+        for j, value in enumerate(values):
+            try:
+                float(value_at(PlantParameters(), value.key))
+            except (KeyError, IndexError, TypeError, ValueError):
+                place = f"{location}.done[{i}].values[{j}].key"
+                raise BenchError(place, repr(value.key), "a number below [plant]", action) from None
+        done.append(_stored(DoneStep, step | {"values": values, "notes": tuple(step["notes"])}))
+    wrong = None if content["wrong"] is None else _stored(FaultRecord, content["wrong"])
+    digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
+    robot, text = stored["robot"], stored.get("robot_text", "")
+    return Commissioning(folder, digest, configuration, simulated, robot, done, wrong, text)
+
+
+def _stored(kind: type[_Part], content: Mapping[str, Any]) -> _Part:
+    """Return the `kind`, a named tuple, with the values of its fields in `content`."""
+    return kind(**{name: content[name] for name in get_type_hints(kind)})
 
 
 def robot_digest(configuration: Configuration, *, simulated: bool) -> str:
@@ -314,7 +369,8 @@ def commission_swings(
 
         def work(step: SwingingStep = step, diagnosed: DiagnosedRobot = diagnosed) -> StepResult:
             try:
-                return step.swing(diagnosed, known_with_swing(known, state.folder), state.folder, progress)
+                swung = known_with_swing(known, state.folder) if state.has_done(SWINGS) else known
+                return step.swing(diagnosed, swung, state.folder, progress)
             except Refused as error:
                 raise diagnosed.explained(error) from error.__cause__
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
+from shlex import quote
 from textwrap import wrap
 
 import jinja2
@@ -49,11 +50,12 @@ def robot_file(
     envelope: EnvelopeSettings | None = None,
     following: Mapping[str, tuple[float, float, float]] | None = None,
     profile: Path | None = None,
+    file: Path = Path("robot.toml"),
 ) -> str:
     """Return TOML of the robot in `known` over the configuration file `base`, commissioned at `made`.
 
     The limits of the supply's pressure, of `envelope`, follow the supply that was found; `following` are
-    those of following errors, by phase. `profile` is the file of its swing.
+    those of following errors, by phase. `profile` is the file of its swing, `file` that of the robot.
     """
     lines = [
         f"# Commissioned on {made:%Y-%m-%d}: values with standard errors, and the steps that found them.",
@@ -76,7 +78,7 @@ def robot_file(
     for table in sorted(tables):
         location = f"clubs.{known.plant.robot.club.name}" if table == _CLUB else f"plant.{table}".rstrip(".")
         lines += [""]
-        lines += _calibration(known) if table == _ENCODERS else []
+        lines += _calibration(known, file) if table == _ENCODERS else []
         lines += [f"[{location}]", *tables[table]]
     if envelope is not None and _SUPPLY in known.found:
         share = known.plant.supply.pressure / known.nominal.supply.pressure
@@ -94,23 +96,21 @@ def robot_file(
     return "\n".join(lines) + "\n"
 
 
-def _calibration(known: RobotEstimate) -> list[str]:
-    """Return comments with the commands that store the encoders' zeros and the valves as calibrations."""
+def _calibration(known: RobotEstimate, file: Path) -> list[str]:
+    """Return comments with the commands that store zeros and valves in `file` as calibrations."""
     encoders = known.plant.encoders
     uncertainty = _max_error(known, f"{_ENCODERS}.zero_count") * 360.0 / encoders.counts_per_revolution
     zeros, signs = (" ".join(map(str, values)) for values in (encoders.zero_count, encoders.sign))
+    command = f"# golfbench --config {quote(str(file.resolve()))} calibrate"
     lines = [
         *(f"# {line}" for line in wrap(NO_CALIBRATION, _WIDTH)),
-        f"# golfbench --config robot.toml calibrate encoders --zero-counts {zeros} --sign {signs} "
+        f"{command} encoders --zero-counts {zeros} --sign {signs} "
         f"--uncertainty-deg {max(uncertainty, _MIN_UNCERTAINTY_DEG):.2g}",
     ]
     if error := _max_error(known, *(f"{key}.valve.{name}" for key in ACTUATOR_KEYS for name in _SPOOL)):
         valves = [actuator.valve for actuator in known.plant.actuators]
         centre, band = (" ".join(f"{getattr(valve, name):.5f}" for valve in valves) for name in _SPOOL)
-        lines.append(
-            f"# golfbench --config robot.toml calibrate valves --centre {centre} --dead-band {band} "
-            f"--uncertainty {error:.2g}"
-        )
+        lines.append(f"{command} valves --centre {centre} --dead-band {band} --uncertainty {error:.2g}")
     return lines
 
 

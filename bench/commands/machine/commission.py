@@ -73,7 +73,7 @@ def commission(
 
     configuration = context.ensure_object(Session).configuration()
     simulated = sim or configuration.driver.name == "sim"
-    _require_possible(configuration.driver.name, robot, regulator, simulated=simulated)
+    _require_possible(configuration, robot, regulator, simulated=simulated)
     truth = configuration if robot is None else load_configuration(robot)
     state = begin(output, configuration, simulated=simulated, resume=resume)
     state.robot = "" if robot is None else str(robot.resolve())
@@ -91,12 +91,18 @@ def commission(
     _show(state)
 
 
-def _require_possible(driver: str, robot: Path | None, regulator: str | None, *, simulated: bool) -> None:
-    """Refuse --robot without a simulated robot, and --regulator with one.
+def _require_possible(
+    configuration: Configuration, robot: Path | None, regulator: str | None, *, simulated: bool
+) -> None:
+    """Refuse encoders that are not absolute, --robot without a simulated robot, and --regulator with one.
 
     Raises:
-        BenchError: the refused option.
+        BenchError: the refused key or option.
     """
+    driver = configuration.driver.name
+    if configuration.homing.method != "absolute" or configuration.plant.encoders.incremental:
+        action = "Measure by hand and enter the values with golfbench calibrate."
+        raise BenchError("homing.method", "encoders with an index", "absolute encoders", action)
     if robot is not None and not simulated:
         action = "Leave it out: the robot behind the driver is the one that it is."
         raise BenchError("commission --robot", f"driver {driver!r}", "a simulated robot", action)
@@ -119,6 +125,7 @@ def _commission(
     """
     from bench.commissioning.commissioning import (
         ALL_STEPS,
+        ROBOT_FILE,
         commission,
         commission_swings,
         folder_lock,
@@ -135,7 +142,7 @@ def _commission(
         bar.update(task, description=step.title, completed=len(state.done))
         _write_report(state, nominal)
 
-    file = state.folder / "robot.toml"
+    file = state.folder / ROBOT_FILE
     with (
         folder_lock(state.folder),
         progress_bar() as bar,
@@ -194,17 +201,25 @@ def _write_robot(
     envelope: EnvelopeSettings,
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
-    """Write robot.toml, with the limits of `following` errors and the learned swing once they are known."""
+    """Write robot.toml, with the limits of `following` errors and the learned swing once they are known.
+
+    Raises:
+        Refused: it was edited.
+    """
     from bench.base.atomic_file import atomic_file
+    from bench.commissioning.commissioning import require_unedited
     from bench.commissioning.machine.step import LEARNED_FILE
     from bench.commissioning.robot_file import robot_file
 
+    require_unedited(state)
     measured = max((step.date for step in state.done if step.values), default=None)
     made = datetime.fromisoformat(measured) if measured else datetime.now(UTC)
     learned = file.with_name(LEARNED_FILE)
     profile = learned if following and learned.exists() else None
+    state.robot_text = robot_file(known, state.configuration, made, envelope, following, profile, file)
     with atomic_file(file) as stream:
-        stream.write(robot_file(known, state.configuration, made, envelope, following, profile).encode())
+        stream.write(state.robot_text.encode())
+    state.save()
 
 
 class _Machine(NamedTuple):

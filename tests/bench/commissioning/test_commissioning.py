@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +23,7 @@ from bench.commissioning.commissioning import (
     STATE_FILE,
     STEPS,
     Commissioning,
+    DoneStep,
     begin,
     commission,
     commissioning_process,
@@ -95,7 +97,7 @@ def test_with_values_sets_values_by_key() -> None:
         with_values(plant, {"wrist.valve.center": 0.0})
 
 
-def test_commissioning_state_is_saved_after_each_step_and_resumed(
+def test_commissioning_state_is_saved_after_each_step_and_repeated_after_fault(
     tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, second = _Found("first"), _Found("second", failing=True)
@@ -114,7 +116,7 @@ def test_commissioning_state_is_saved_after_each_step_and_resumed(
     second.failing = False
     state = begin(tmp_path, configuration, simulated=True, resume=True)
     known = _run(state, configuration)
-    assert (first.runs, second.runs) == (1, 2)
+    assert (first.runs, second.runs) == (2, 2)
     assert known.plant.supply.pressure == 7e5
     assert read_state(tmp_path).wrong is None
 
@@ -132,6 +134,30 @@ def test_commission_stalled_step_is_repeated_at_most_nine_times(
     assert (late.runs, stuck.runs) == (4, 10)
 
 
+def test_commissioning_resume_after_stall_keeps_measured_steps(
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = _Found("first"), _Found("second", stalls=10)
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first, second))
+    with pytest.raises(Stalled):
+        _run(begin(tmp_path, configuration, simulated=True, resume=False), configuration)
+    _run(begin(tmp_path, configuration, simulated=True, resume=True), configuration)
+    assert (first.runs, second.runs) == (1, 11)
+
+
+def test_commissioning_resume_repeats_steps_from_missing_file(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    state.done = [DoneStep(step.name, step.title, "", DAY.isoformat(), 1.0, "", (), ()) for step in ALL_STEPS]
+    state.save()
+    (tmp_path / "swing.toml").touch()
+    done = begin(tmp_path, configuration, simulated=True, resume=True).done
+    assert [step.name for step in done] == [step.name for step in ALL_STEPS[:-2]]
+    (tmp_path / "learned.toml").touch()
+    assert begin(tmp_path, configuration, simulated=True, resume=True).done == state.done
+
+
 def test_commissioning_resume_other_robot_is_refused(tmp_path: Path, configuration: Configuration) -> None:
     begin(tmp_path, configuration, simulated=True, resume=False).save()
     plant = replace(configuration.plant, wrist_lever=0.05)
@@ -146,7 +172,9 @@ def test_commissioning_resume_other_wiring_after_measurement_is_refused(
 ) -> None:
     other = replace(configuration, bench=replace(configuration.bench, id="other"))
     begin(tmp_path, configuration, simulated=False, resume=False).save()
+    other = replace(other, files=(tmp_path / "other.toml",))
     begin(tmp_path, other, simulated=False, resume=True).save()  # nothing is measured yet
+    assert read_state(tmp_path).configuration == str(tmp_path / "other.toml")
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (_Found("first"),))
     _run(begin(tmp_path, other, simulated=False, resume=True), configuration)
     with pytest.raises(BenchError, match="another configured robot"):
@@ -198,6 +226,35 @@ def test_commissioning_state_stores_robot_and_is_refused_without(
         read_state(tmp_path / "day")
 
 
+@pytest.mark.parametrize(
+    ("place", "value", "location"),
+    [
+        (("done", 0, "values", 0, "key"), "supply.colour", "done[0].values[0].key"),
+        (("done", 0, "values", 0, "value"), "high", "done[0].values[0].value"),
+        (("done", 0, "seconds"), None, "done[0].seconds"),
+        (("simulated",), "yes", "simulated"),
+        (("version",), 0, "version"),
+        (("wrong",), {"step": "first"}, "wrong"),
+        (("done",), "all", "done"),
+    ],
+)
+def test_commissioning_state_invalid_value_is_refused_with_location(
+    tmp_path: Path, configuration: Configuration, place: tuple[Any, ...], value: Any, location: str
+) -> None:
+    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    found = ParameterEstimate("supply.pressure", 7e5, 100.0, "Pa absolute", "first")
+    state.done = [DoneStep("first", "First", "", DAY.isoformat(), 1.0, "", (found,), ())]
+    state.save()
+    content = at = json.loads((tmp_path / STATE_FILE).read_text())
+    for part in place[:-1]:
+        at = at[part]
+    at[place[-1]] = value
+    (tmp_path / STATE_FILE).write_text(json.dumps(content))
+    with pytest.raises(BenchError, match="Begin again in another folder") as error:
+        read_state(tmp_path)
+    assert f"{tmp_path / STATE_FILE}: state.{location}" in error.value.location
+
+
 def test_robot_file_loads_as_configuration(tmp_path: Path, configuration: Configuration) -> None:
     known = RobotEstimate(configuration.plant)
     known.add(
@@ -236,13 +293,15 @@ def test_robot_file_commands_calibrate_encoders_and_valves(
     known.add([ParameterEstimate(key, zero, 18.2, "counts", "wiring") for key, zero in zeros.items()])
     known.add([ParameterEstimate("encoders.sign.2", -1.0, 0.0, "", "wiring")])
     known.add([ParameterEstimate("shoulder.valve.centre", -0.01234, 0.0004, "", "valves")])
-    base, path = tmp_path / "bench.toml", tmp_path / "robot.toml"
+    base, path = tmp_path / "bench.toml", tmp_path / "first day" / "robot.toml"
+    path.parent.mkdir()
     base.write_text(f'base = "shipped"\n[bench]\nid = "robot-{os.getpid()}"\ndata_dir = "{tmp_path}"\n')
-    path.write_text(robot_file(known, str(base), DAY))
-    commands = re.findall(r"^# golfbench --config robot.toml (.*)$", path.read_text(), re.MULTILINE)
+    path.write_text(robot_file(known, str(base), DAY, file=path))
+    commands = re.findall(r"^# golfbench (.*)$", path.read_text(), re.MULTILINE)
     for command in commands:
+        assert f"--config '{path}'" in command
         with pytest.raises(SystemExit) as ended:
-            main(["--config", str(path), *command.split()])
+            main(shlex.split(command))
         assert ended.value.code == 0
     found = calibration_of(load_configuration(path), datetime.now(UTC))
     encoders, valves = (found.of(kind) for kind in (CalibrationKind.ENCODERS, CalibrationKind.VALVES))
@@ -385,7 +444,30 @@ def test_commission_failed_learning_exits_with_1_and_resumes(
     with pytest.raises(SystemExit) as ended:
         main([*given, "--resume"])
     assert ended.value.code == 0
-    assert (len(first.knew), len(last.knew)) == (1, 2)
+    assert (len(first.knew), len(last.knew)) == (2, 2)
+
+
+def test_commission_resume_edited_robot_file_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _measured(monkeypatch, _Swinging("limits"))
+    given = ["commission", "--sim", "--output", str(tmp_path / "day")]
+    robot = tmp_path / "day" / "robot.toml"
+    with pytest.raises(SystemExit) as ended:
+        main(given)
+    assert ended.value.code == 0
+    written = robot.read_text()
+    robot.write_text(written.replace('check = "always"', 'check = "off"'))
+    for more in ([], ["--check"]):
+        with pytest.raises(SystemExit) as ended:
+            main([*given, "--resume", *more])
+        assert ended.value.code == 1
+        assert '\'check = "off"' in capsys.readouterr().err
+    assert 'check = "off"' in robot.read_text()
+    robot.unlink()
+    with pytest.raises(SystemExit) as ended:
+        main([*given, "--resume"])
+    assert (ended.value.code, robot.read_text()) == (0, written)
 
 
 @pytest.mark.parametrize(
@@ -395,6 +477,9 @@ def test_commission_failed_learning_exits_with_1_and_resumes(
         ("", ["--regulator", "turn"], "commission --regulator"),
         ('[driver]\nname = "mock"\n', ["--sim", "--regulator", "turn"], "commission --regulator"),
         ('[driver]\nname = "mock"\n', [], "neither a program nor a terminal"),
+        ('[homing]\nmethod = "index"\n', ["--sim", "--check"], "homing.method"),
+        ("", ["--sim", "--check", "--output", __file__], __file__),
+        ("", ["--sim", "--check", "--output", f"{__file__}/day"], __file__),
     ],
 )
 def test_commission_conflicting_options_are_refused(
