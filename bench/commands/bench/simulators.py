@@ -175,6 +175,7 @@ def show_scan(configuration: Configuration) -> None:
     """Print the nodes on the bus of `configuration`.
 
     Raises:
+        BenchError: the configuration has no CANopen nodes.
         NoBus: the bus cannot be opened.
         Refused: a configured node is missing or would be refused.
     """
@@ -182,6 +183,9 @@ def show_scan(configuration: Configuration) -> None:
     from drivers.base import DriverError
     from drivers.canopen.scan import scan as scan_bus
 
+    if (name := configuration.driver.name) != "canopen":
+        action = f"Omit the scan: driver {name!r} has no CANopen nodes. Or name another file with --config."
+        raise BenchError("driver.name", repr(name), "'canopen'", action)
     bus = configuration.canopen
     where = f"{bus.interface} {bus.channel}"
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.commands.bench.simulators import nodes_plan, turn_regulator
+from bench.commands.bench.simulators import nodes_plan, show_scan, turn_regulator
 from bench.config import load_configuration
 from drivers.base.compiled import new_record
 from drivers.canopen.driver import CanopenDriver
@@ -60,6 +60,12 @@ def test_nodes_unknown_interface_reports_action(file: Path) -> None:
     assert "error: nodes on no_such_interface" in told
     assert "--config local_can" in told
     assert "Traceback" not in told
+
+
+def test_nodes_scan_without_canopen_nodes_is_refused(file: Path) -> None:
+    file.write_text(file.read_text().replace('"canopen"', '"sim"'))
+    with pytest.raises(BenchError, match=r"driver\.name(?s:.)*'sim' has no CANopen nodes"):
+        show_scan(load_configuration(file))
 
 
 def test_nodes_plan_matches_configuration(file: Path, tmp_path: Path) -> None:
