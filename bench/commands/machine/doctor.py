@@ -211,11 +211,11 @@ def memory() -> ItemResult:
 def data_folder(data_dir: Path) -> ItemResult:
     """Look whether records can be stored in `data_dir`, which need not exist yet."""
     existing = _existing(data_dir)
-    free = shutil.disk_usage(existing).free
-    value = f"{data_dir.absolute()}: {free / GIBIBYTE:.1f} GiB free"
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         advice = f"make {existing.absolute()} a folder you may write to, or set data_dir elsewhere"
-        return missing(f"{value}, not writable", advice)
+        return missing(f"{data_dir.absolute()}: not writable", advice)
+    free = shutil.disk_usage(existing).free
+    value = f"{data_dir.absolute()}: {free / GIBIBYTE:.1f} GiB free"
     if free < GIBIBYTE:
         return limited(value, "a campaign of 100 swings may fill it: free 1 GiB")
     return ok(value)
@@ -440,5 +440,5 @@ def small_text(path: str | Path) -> str:
 
 
 def _existing(path: Path) -> Path:
-    """Return `path` or the nearest folder above it that exists."""
-    return next(above for above in (path.absolute(), *path.absolute().parents) if above.exists())
+    """Return `path` or the nearest entry above it, also a link that leads nowhere."""
+    return next(above for above in (path.absolute(), *path.absolute().parents) if os.path.lexists(above))

@@ -194,9 +194,13 @@ def test_doctor_data_folder_reports_missing_and_low_space(
     assert doctor.data_folder(tmp_path / "not" / "yet").status is CheckStatus.OK
     file = tmp_path / "file"
     file.touch()
-    outcome = doctor.data_folder(file)
-    assert outcome.status is CheckStatus.MISSING
-    assert str(file) in outcome.advice
+    loop, dangling = tmp_path / "loop", tmp_path / "dangling"
+    loop.symlink_to(loop)
+    dangling.symlink_to(tmp_path / "nowhere")
+    for path, blocking in ((file, file), (loop, loop), (loop / "data", loop), (dangling, dangling)):
+        outcome = doctor.data_folder(path)
+        assert outcome.status is CheckStatus.MISSING
+        assert str(blocking) in outcome.advice
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000}))
     assert doctor.data_folder(tmp_path).status is CheckStatus.LIMITED
 
