@@ -170,13 +170,16 @@ def _pass_plain(parameter: Any) -> None:
     convert, callback = parameter.process_value, parameter.callback
     is_single = not (parameter.required or parameter.multiple or parameter.nargs != 1)
     annotation = parameter.type_descriptor.annotation
-    is_text = is_single and annotation is str
+    is_text, is_path = is_single and annotation is str, annotation in (Path, list[Path])
     is_number = {int, float}.issuperset(get_args(annotation) or [annotation])
 
     def process_value(context: Any, value: Any) -> Any:
+        given = value if isinstance(value, list | tuple) else [value]
+        if is_path and "-" in given:
+            action = "Name a file, or omit it for the default; ./- is a file of this name."
+            raise BenchError(parameter.opts[0], "'-'", "a file or folder", action)
         if is_single and (value is parameter.default or (is_text and isinstance(value, str))):
             return value if callback is None else callback(context, parameter, value)
-        given = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
         if is_number and any(isinstance(one, str) and "_" in one for one in given):  # 1_5 would be 15
             raise typer.BadParameter(f"{value!r} has an underscore", ctx=context, param=parameter)
         try:

@@ -376,6 +376,52 @@ def test_main_ctrl_c_exits_with_130_without_traceback() -> None:
     assert "Traceback" not in errors
 
 
+def test_main_ctrl_c_during_import_exits_with_130_without_traceback() -> None:
+    script = """
+import sys
+from bench.__main__ import main
+
+class Interrupted:
+    def find_spec(name, *_):
+        if name == "typer":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupted)
+main()
+"""
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (answer.returncode, answer.stdout, answer.stderr) == (ExitCode.INTERRUPTED, "", "")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["profile", "limits", "default", "--output", "-"],
+        ["campaign", "export", "NAME", "--output", "-"],
+        ["campaign", "new", "-"],
+        ["nodes", "--dbc", "-"],
+        ["export", "-", "--format", "csv"],
+    ],
+)
+def test_cli_dash_as_file_is_refused(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == ExitCode.BAD_INPUT
+    assert "found:    '-'" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cli_path_of_file_called_dash_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["nodes", "--dbc", "./-"])
+    assert ended.value.code == 0
+    assert (tmp_path / "-").is_file()
+
+
 @pytest.mark.live
 def test_main_closed_pipe_prints_no_error() -> None:
     command = f"{sys.executable} -m bench doctor --json | head -c 10"
