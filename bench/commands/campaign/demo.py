@@ -1,7 +1,7 @@
 """`golfbench demo`: the shipped test of two balls on a bench that runs for it alone, or in lock-step.
 
 The bench is the daemon with the plant in step (driver "sim"); the campaign swings it over the network as any
-campaign does. Everything that is started here ends here, also after Ctrl-C.
+campaign does. Everything that is started here ends here, also after Ctrl-C or SIGTERM.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def write_result(
     folder: Path,
     c: Configuration,
 ) -> None:
-    """Leave report, recording and table in `folder`, and print the result; after Ctrl-C the table only."""
+    """Leave report, recording and table in `folder`, and print the result; after a stop the table only."""
     record = load_record(store, entry)
     found = findings(record.plan, record.shots)
     report, recording, shots = (folder / name for name in ("report.html", "demo.rrd", "shots.csv"))
@@ -128,7 +128,7 @@ def write_result(
     )
     ending = outcome.reason
     if interrupted:
-        ending = "Ctrl-C: the robot was brought to rest; no report, no recording"
+        ending = f"{outcome.reason}: the robot was brought to rest; no report, no recording"
     console, left = Console(highlight=False), len(design.balls) * design.blocks - len(record.shots)
     console.print(_table(title, record.shots))
     if ending:
@@ -241,13 +241,14 @@ def run_demo(
     """Swing the shipped test of two balls, show and store it; return whether it came to its end.
 
     `live`: on a bench that is started for it; else in lock-step in this process, where one seed gives the
-    same shots. After Ctrl-C the swing under way is completed; the shots so far and their table are there,
-    without report and recording.
+    same shots. After Ctrl-C or SIGTERM the swing under way is completed; the shots so far and their table
+    are there, without report and recording.
 
     Raises:
         BenchError: the profile is invalid, `output` cannot be used, or the bench does not start.
         ExceptionGroup: BenchErrors, the reasons why the profile cannot be swung here.
         KeyboardInterrupt: Ctrl-C, after the robot was brought to rest and the files were written.
+        Terminated: SIGTERM or a closed terminal, likewise.
     """
     begin = datetime.now(UTC)
     demo_plan(configuration, swings, seed)  # refused before anything is written
@@ -265,7 +266,7 @@ def run_demo(
         if live:
             with console.status("starting the bench"):
                 running.enter_context(own_bench(c, folder / "bench.log"))
-        with deferred_interrupt() as asked:
+        with deferred_interrupt(terminate=True) as asked:
             facts = None
             if live:
                 with BenchClient.connect(c) as client:
@@ -274,7 +275,8 @@ def run_demo(
             store.begin(entry)
             with campaign_bar() as bar:
                 screen = CampaignProgress(entry, plan, ProgressScreen(bar).follow)
-                outcome = run_campaign(entry, c, store, screen, asked.is_made)
+                stop = asked.is_made
+                outcome = run_campaign(entry, c, store, screen, stop, cause=lambda: asked.cause)
             with console.status("bringing the robot to rest"):
                 running.close()
             write_result(title, store, entry, outcome, folder, c)

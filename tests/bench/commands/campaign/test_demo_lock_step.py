@@ -176,7 +176,16 @@ def test_demo_output_folder_of_other_demo_is_refused(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.live
-def test_demo_ctrl_c_exits_interrupted_and_keeps_complete_records(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "code", "name"),
+    [
+        (signal.SIGINT, ExitCode.INTERRUPTED, "Ctrl-C"),
+        (signal.SIGTERM, ExitCode.TERMINATED, "SIGTERM"),
+    ],
+)
+def test_demo_signal_exits_with_code_and_keeps_complete_records(
+    tmp_path: Path, number: signal.Signals, code: ExitCode, name: str
+) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "bench", "demo", "--engine", "compiled", "--swings", "200"]
     command += ["--output", str(out)]
@@ -186,11 +195,11 @@ def test_demo_ctrl_c_exits_interrupted_and_keeps_complete_records(tmp_path: Path
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < limit
             time.sleep(0.01)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         output, errors = process.communicate(timeout=60)
-    assert process.returncode == ExitCode.INTERRUPTED
+    assert process.returncode == code
     assert "Traceback" not in errors
-    assert "Ctrl-C" in output
+    assert f"stopped by {name}" in output
     shots = read_shot_table(out / "shots.csv")
     assert 2 <= len(shots) < 200
     assert not (out / "report.html").exists()
