@@ -1,4 +1,4 @@
-"""Records as CSV (RFC 4180), MATLAB's format 5, MDF 4.1 and MCAP.
+"""Records as CSV (RFC 4180), MATLAB's format 5 and MCAP.
 
 CSV (RFC 4180): a header row, then one row per cycle. `NAME.csv-metadata.json` in the same folder, where the
 W3C's "Metadata Vocabulary for Tabular Data" expects it, holds names, types, descriptions and units of the
@@ -8,11 +8,6 @@ same number; an unknown number is `nan`.
 MATLAB's format 5, compressed; `scipy.io.loadmat` and Octave read it too. Variables: `cycles`, a struct with a
 field for each field of the record, (n, 1) or (n, 3) and so on; `units`, `descriptions` and `components`,
 structs with the same fields; `metadata`, the record's as JSON text.
-
-MDF 4.1 (ASAM) by asammdf, for CANape, INCA and NI: a channel a column, with units, names and events. Codes
-have their names as a conversion from value to text. Each change of state, phase, reaction or cause is an
-event, the record's metadata are an attached JSON text. Time is from zero, the file's start is the record's in
-UTC, if it has one. A channel without a measured value, NaN throughout, is left out.
 
 MCAP, the container of robotics, for Foxglove's line of viewers and PlotJuggler; all channels are JSON:
 `/cycle`, a message a cycle, whose vectors are objects by component (`/cycle.angle.wrist`), and `/log`, the
@@ -28,14 +23,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from datetime import UTC, datetime
 from importlib import resources
 from importlib.metadata import version
-from io import BytesIO
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, cast
-from xml.sax.saxutils import escape
 
 import numpy as np
 import pyarrow as pa
@@ -44,7 +36,6 @@ from mcap.writer import CompressionType, Writer
 from scipy.io import savemat
 
 from bench.base.atomic_file import atomic_file
-from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.records.telemetry.cycle_record import (
     ENUMERATIONS,
@@ -133,78 +124,6 @@ def write_mat(path: Path, record: SwingRecord) -> list[Path]:
     with atomic_file(path) as stream:
         savemat(cast(Any, stream), variables, do_compression=True, long_field_names=True)
     return [path]
-
-
-_COMMENT = "<EVcomment><TX>{}</TX><tool>golfbench</tool></EVcomment>"
-
-
-def write_mf4(path: Path, record: SwingRecord) -> list[Path]:
-    """Write `record` to `path` and return it.
-
-    Raises:
-        NotStored: it cannot be stored.
-        BenchError: asammdf is not installed.
-    """
-    try:
-        from asammdf import MDF
-        from asammdf.blocks.v4_blocks import EventBlock
-        from asammdf.blocks.v4_constants import EVENT_CAUSE_SCRIPT, EVENT_TYPE_MARKER
-    except ImportError as error:
-        action = "Install it: pip install 'golfbench[mdf]'."
-        raise BenchError("export to mf4", f"{error}", "the package asammdf", action) from error
-    cycles = record.cycles
-    begin = record.begin_utc + (float(cycles["time"][0]) if len(cycles) else 0.0)
-    with MDF(version="4.10") as file:
-        file.header.start_time = datetime.fromtimestamp(begin, UTC)
-        if len(cycles):
-            time = cycles["time"] - cycles["time"][0]
-            file.append(_signals(cycles, time), comment="a sample a cycle", common_timebase=True)
-            for change in changes(cycles):
-                event = EventBlock(
-                    event_type=EVENT_TYPE_MARKER,
-                    cause=EVENT_CAUSE_SCRIPT,
-                    sync_base=round(1e9 * float(time[change.row])),
-                    sync_factor=1e-9,
-                )
-                event.name, event.comment = change.text, _COMMENT.format(escape(change.text))
-                file.events.append(event)
-        text = json.dumps(record.metadata, allow_nan=False).encode()
-        file.attach(text, file_name="golfbench.json", mime="application/json", compression=True)
-        written = BytesIO()
-        file.save(written)
-    with atomic_file(path) as stream:
-        stream.write(written.getvalue())
-    return [path]
-
-
-def _signals(cycles: np.ndarray[Any, Any], time: np.ndarray[Any, Any]) -> list[Any]:
-    from asammdf import Signal
-
-    return [
-        Signal(
-            np.ascontiguousarray(values),
-            time,
-            unit="" if unit_of(field, index) == "1" else unit_of(field, index),
-            name=column,
-            comment=field.text,
-            conversion=_names(field),
-        )
-        for field in FIELDS
-        for index, (column, values) in enumerate(
-            zip(field.columns, np.atleast_2d(cycles[field.name].T), strict=True)
-        )
-        if field.dtype != "f8" or not np.isnan(values).all()
-    ]
-
-
-def _names(field: Field) -> dict[str, Any] | None:
-    """Return the conversion from the codes of `field` to their names."""
-    if not field.names:
-        return None
-    found: dict[str, Any] = {"default": b"unknown"}
-    for number, (code, name) in enumerate(ENUMERATIONS[field.names].items()):
-        found |= {f"val_{number}": int(code), f"text_{number}": name.encode()}
-    return found
 
 
 LAYOUT = "foxglove_layout.json"

@@ -47,7 +47,6 @@ class Format(StrEnum):
     RRD = "rrd"
     MCAP = "mcap"
     MAT = "mat"
-    MF4 = "mf4"
 
 
 def export(
@@ -61,7 +60,7 @@ def export(
     """Write records of swings for other programs, with the unit of every column.
 
     csv stores its units in NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (with a layout file),
-    mat for MATLAB, mf4 (MDF 4) for CANape and NI.
+    mat for MATLAB.
     """
     from bench.records.telemetry.recorder import SwingRecord, read_swing, record_files
 
@@ -122,10 +121,6 @@ def _writer(format_: Format) -> Callable[[Path, SwingRecord], list[Path]]:
             from bench.viewer.export_files import write_mat
 
             return write_mat
-        case Format.MF4:
-            from bench.viewer.export_files import write_mf4
-
-            return write_mf4
 
 
 # Compare ---------------------------------------------------------------------------------------------

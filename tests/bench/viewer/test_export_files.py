@@ -5,11 +5,9 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import asammdf
 import duckdb
 import numpy as np
 import polars
@@ -20,7 +18,6 @@ from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
 from bench.base.atomic_file import NotStored
-from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
 from bench.records.telemetry.recorder import SwingRecord, read_swing, write_swing
@@ -30,7 +27,6 @@ from bench.viewer.export_files import (
     write_csv,
     write_mat,
     write_mcap,
-    write_mf4,
 )
 from bench.viewer.recording import write_rrd
 
@@ -150,33 +146,6 @@ def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: Sw
     assert panels["RosOut!log"]["topicToRender"] in topics
 
 
-def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record: SwingRecord) -> None:
-    (path,) = write_mf4(tmp_path / "007.mf4", record)
-    cycles = record.cycles
-    with asammdf.MDF(path) as file:
-        wrist, phase = file.get("angle_wrist"), file.get("phase")
-        assert np.array_equal(wrist.samples, cycles["angle"][:, 2])
-        assert np.array_equal(wrist.timestamps, cycles["time"] - cycles["time"][0])
-        assert [wrist.unit, file.get("plant_effort_arm").unit, file.get("tick").unit] == ["rad", "N", ""]
-        assert np.array_equal(file.get("phase", raw=True).samples, cycles["phase"])
-        assert {text.decode() for text in phase.samples} == {Phase(code).name for code in cycles["phase"]}
-        assert "chamber_pressure_shoulder_a" not in file.channels_db  # not fitted
-        found = [(event.name, round(event.value, 9)) for event in file.events]
-        text, name, _ = file.extract_attachment(0)
-        assert file.start_time == datetime.fromisoformat(BEGIN)
-    begin = cycles["time"][0]
-    assert found == [(c.text, round(float(cycles["time"][c.row] - begin), 9)) for c in changes(cycles)]
-    assert (json.loads(text), name.name) == (record.metadata, "golfbench.json")
-
-
-def test_mf4_without_asammdf_names_package(
-    tmp_path: Path, record: SwingRecord, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "asammdf", None)
-    with pytest.raises(BenchError, match="golfbench\\[mdf\\]"):
-        write_mf4(tmp_path / "007.mf4", record)
-
-
 def test_record_opens_in_duckdb_and_polars(record: SwingRecord) -> None:
     """Names in addition to numbers, and units in the file's own metadata."""
     path, phases = record.path, record.cycles["phase"]
@@ -273,7 +242,7 @@ def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: SwingRe
             assert_readable(json.loads(schema.data), content)
 
 
-@pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
+@pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_rrd])
 def test_export_missing_folder_raises_not_stored(
     write: Callable[[Path, SwingRecord], list[Path]], record: SwingRecord
 ) -> None:
@@ -281,7 +250,7 @@ def test_export_missing_folder_raises_not_stored(
         write(Path("/nonexistent/x"), record)
 
 
-@pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
+@pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_rrd])
 def test_export_record_without_cycles_writes_file(
     write: Callable[[Path, SwingRecord], list[Path]], record: SwingRecord, tmp_path: Path
 ) -> None:
