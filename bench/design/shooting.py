@@ -43,7 +43,6 @@ class Arrival(NamedTuple):
 
     contact: int
     """Tick in which it does; the number of openings less one if it does not."""
-    passed: bool
     head: Array
     """x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s)."""
     error: float
@@ -73,8 +72,6 @@ class ShootingTrial(NamedTuple):
     missed_energy: Array
     silent_energy: Array
     """(m, 3, 2) J."""
-    furthest: float
-    """Max theta1 after a missed ball, rad."""
 
 
 @compiled
@@ -124,13 +121,9 @@ def follow_plan(
 @compiled
 def brake(
     robot: Any, plant: Any, impact: Any, state: Any, command: Any, valve: Any, law: Any, ticks: int
-) -> float:
-    """Play openings `valve` (m, 3), then the braking `law` (BRAKE_LAW) for `ticks` ticks.
-
-    Returns the max theta1 (rad).
-    """
-    s, b, period = state[0], law[0], plant[0].tick
-    before, furthest = np.zeros(3), s.angle[0]
+) -> None:
+    """Play openings `valve` (m, 3), then the braking `law` (BRAKE_LAW) for `ticks` ticks."""
+    s, b, period, before = state[0], law[0], plant[0].tick, np.zeros(3)
     for k in range(len(valve) + ticks):
         for i in range(3):
             if k < len(valve):
@@ -141,8 +134,6 @@ def brake(
                 command[0].valve[i] = min(max(opening, -1.0), 1.0)
             before[i] = s.speed[i]
         advance(robot, plant, impact, state, command)
-        furthest = max(furthest, s.angle[0])
-    return float(furthest)
 
 
 @compiled
@@ -199,7 +190,7 @@ class Shooter:
         hit["ball_present"] = contact < len(valve)
         hold_command(*self.plant.records, hit, command, 2)
         head, error = self._at_ball(hit, states, last)
-        return Arrival(last, contact < len(valve), head, error)
+        return Arrival(last, head, error)
 
     def _at_ball(self, hit: NDArray[Any], states: NDArray[Any], last: int) -> tuple[Array, float]:
         """Return the head where it strikes the ball of `hit`, else passes it, and the error there."""
@@ -217,16 +208,15 @@ class Shooter:
         """Play openings `valve` (n, 3), one row per tick, with each continuation: struck, missed, silent."""
         records, period = self.plant.records, self.plant.parameters.tick
         states, command, contact = self._down(valve)
-        passed = contact < len(valve)
         followed, quiet = round(_FOLLOWED / period), round(_SILENT_FOR / period)
         last = min(contact, len(valve) - 1)
         rest = np.ascontiguousarray(valve[last : last + AFTER_CONTACT])
 
         hit = states[last : last + 1].copy()
-        hit["ball_present"] = passed
+        hit["ball_present"] = contact < len(valve)
         brake(*records, hit, command.copy(), rest, self.law, followed)
         missed = states[last : last + 1].copy()
-        furthest = brake(*records, missed, command.copy(), rest, self.law, followed)
+        brake(*records, missed, command.copy(), rest, self.law, followed)
         silent = np.zeros((len(self.silences), 3, 2))
         for row, silence in enumerate(self.silences):
             begin = max(last - round(silence / period), 0)
@@ -247,7 +237,6 @@ class Shooter:
             np.array(hit["stop_energy"][0]),
             np.array(missed["stop_energy"][0]),
             silent,
-            furthest,
         )
 
 
