@@ -8,12 +8,12 @@ follow.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.moves.pressure_plan import falling_root
 from bench.swing.motion import Motion
 from drivers.base.compiled import compiled
 from sim.kane import inverse_dynamics
@@ -141,18 +141,14 @@ def _steady(actuator: Actuator, supply: Supply, driving: float, driven: float) -
     c, ratio = actuator.valve.conductance, actuator.valve.critical_ratio
 
     def force(speed: float) -> float:
-        p = _root(lambda p: flow(c, supply.pressure, p, ratio) - p * driving * speed, 1e3, supply.pressure)
-        q = _root(lambda q: q * driven * speed - flow(c, q, supply.atmosphere, ratio), supply.atmosphere, 1e9)
+        p = falling_root(
+            lambda p: flow(c, supply.pressure, p, ratio) - p * driving * speed, 1e3, supply.pressure
+        )
+        q = falling_root(
+            lambda q: q * driven * speed - flow(c, q, supply.atmosphere, ratio), supply.atmosphere, 1e9
+        )
         return (p - supply.atmosphere) * driving - (q - supply.atmosphere) * driven
 
     # The driven chamber cannot be emptied faster than at the speed of sound, whatever its pressure.
     sonic = c * FLOW_TO_PRESSURE / driven
-    return _root(force, 1e-6 * sonic, sonic)
-
-
-def _root(falling: Callable[[float], float], low: float, high: float) -> float:
-    """Return where `falling` changes its sign from + to -, by bisection."""
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (middle, high) if falling(middle) > 0 else (low, middle)
-    return (low + high) / 2
+    return falling_root(force, 1e-6 * sonic, sonic)

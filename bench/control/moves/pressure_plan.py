@@ -59,7 +59,7 @@ def planned_air(plant: PlantParameters, angle: Array) -> Array:
     for i, actuator in enumerate(plant.actuators):
         if not _force(plant, i, _MIN_SHARE) < load[i] < _force(plant, i, _MAX_SHARE):
             raise ValueError(f"{ACTUATORS[i]}: cannot hold {load[i]:.0f} N (shoulder: N m) at the address")
-        share = _root(partial(_excess, plant, i, float(load[i])), _MIN_SHARE, _MAX_SHARE)
+        share = falling_root(partial(_shortfall, plant, i, float(load[i])), _MIN_SHARE, _MAX_SHARE)
         pressures[2 * i : 2 * i + 2] = _balance(plant, i, share), _balance(plant, i, 1.0 - share)
         if pressures[2 * i : 2 * i + 2].max() > actuator.pressure_rating:
             raise ValueError(f"{ACTUATORS[i]}: needs more than its pressure rating at the address")
@@ -127,8 +127,8 @@ def _force(plant: PlantParameters, i: int, share: float) -> float:
     return (in_a - atmosphere) * actuator.area_a - (in_b - atmosphere) * actuator.area_b
 
 
-def _excess(plant: PlantParameters, i: int, load: float, share: float) -> float:
-    return _force(plant, i, share) - load
+def _shortfall(plant: PlantParameters, i: int, load: float, share: float) -> float:
+    return load - _force(plant, i, share)
 
 
 def _net(plant: PlantParameters, i: int, share: float, pressure: float) -> float:
@@ -142,16 +142,12 @@ def _net(plant: PlantParameters, i: int, share: float, pressure: float) -> float
 def _balance(plant: PlantParameters, i: int, share: float) -> float:
     """Return the pressure (Pa) at which as much flows in as out, filled for `share` of the time."""
     supply = plant.supply
-    return _root(partial(_outflow, plant, i, share), supply.atmosphere, supply.pressure)
+    return falling_root(partial(_net, plant, i, share), supply.atmosphere, supply.pressure)
 
 
-def _outflow(plant: PlantParameters, i: int, share: float, pressure: float) -> float:
-    return -_net(plant, i, share, pressure)
-
-
-def _root(rising: Callable[[float], float], low: float, high: float) -> float:
-    """Return where `rising` crosses zero between `low` and `high`, by bisection."""
+def falling_root(falling: Callable[[float], float], low: float, high: float) -> float:
+    """Return where `falling` changes its sign from + to -, by bisection."""
     for _ in range(60):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if rising(middle) < 0.0 else (low, middle)
+        low, high = (middle, high) if falling(middle) > 0.0 else (low, middle)
     return 0.5 * (low + high)
