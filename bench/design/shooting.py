@@ -41,8 +41,6 @@ BRAKE_LAW = np.dtype([("gain", "f8", (3,)), ("damping", "f8", (3,)), ("fade", "f
 class Arrival(NamedTuple):
     """The robot as the head passes the ball's place, with no ball there."""
 
-    contact: int
-    """Tick in which it does; the number of openings less one if it does not."""
     head: Array
     """x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s)."""
     error: float
@@ -57,16 +55,10 @@ class ShootingTrial(NamedTuple):
     struck: bool
     head: Array
     """x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s) there."""
-    error: float
-    """Ball off the face's centre along the cut of swing plane and face, m."""
     angle: Array
     """(contact, 3) rad at the start of each tick."""
     speed: Array
     """(contact, 3) rad/s."""
-    clearance: float
-    """Sole over ground until the end, m."""
-    pressure: float
-    """Max chamber pressure, Pa absolute."""
     struck_energy: Array
     """(3, 2) J, lower and upper cushions."""
     missed_energy: Array
@@ -189,20 +181,16 @@ class Shooter:
         hit = states[last : last + 1].copy()
         hit["ball_present"] = contact < len(valve)
         hold_command(*self.plant.records, hit, command, 2)
-        head, error = self._at_ball(hit, states, last)
-        return Arrival(last, head, error)
-
-    def _at_ball(self, hit: NDArray[Any], states: NDArray[Any], last: int) -> tuple[Array, float]:
-        """Return the head where it strikes the ball of `hit`, else passes it, and the error there."""
-        struck = bool(hit["struck"][0])
-        head = (
-            np.array(hit["impact_head"][0])
-            if struck
-            else _passing(states[last], states[last + 1], self.plant)
-        )
+        head = self._at_ball(hit, states, last)
         site = self.plant.parameters.site
         error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, self.plant.impact)
-        return head, float(error)
+        return Arrival(head, float(error))
+
+    def _at_ball(self, hit: NDArray[Any], states: NDArray[Any], last: int) -> Array:
+        """Return the head where it strikes the ball of `hit`, else passes its place."""
+        if hit["struck"][0]:
+            return np.array(hit["impact_head"][0])
+        return _passing(states[last], states[last + 1], self.plant)
 
     def shoot(self, valve: Array) -> ShootingTrial:
         """Play openings `valve` (n, 3), one row per tick, with each continuation: struck, missed, silent."""
@@ -224,16 +212,12 @@ class Shooter:
             hold_command(*records, left, self.passive.copy(), quiet)
             silent[row] = left["stop_energy"][0]
 
-        head, error = self._at_ball(hit, states, last)
         return ShootingTrial(
             contact,
             bool(hit["struck"][0]),
-            head,
-            error,
+            self._at_ball(hit, states, last),
             np.array(states["angle"][: last + 1]),
             np.array(states["speed"][: last + 1]),
-            float(min(hit["lowest_clearance"][0], missed["lowest_clearance"][0])),
-            float(max(hit["peak_pressure"].max(), missed["peak_pressure"].max())),
             np.array(hit["stop_energy"][0]),
             np.array(missed["stop_energy"][0]),
             silent,
