@@ -129,12 +129,13 @@ def _of_valve(joint: int, recorded: RecordedSwing) -> list[SwingCause]:
 
 def _of_sensors(joint: int) -> list[SwingCause]:
     """Return what its encoder and the sensors of its chambers may do otherwise."""
-    name, slips = JOINTS[joint], "it slips on its shaft"
+    name = JOINTS[joint]
+    encoder, slips = f"{name} encoder", "it slips on its shaft"
     fasten = f"Fasten the encoder of the {name} on its shaft, then commission again: its zero is another."
     steps = (-0.4, -0.1, -0.03, 0.03, 0.1, 0.4)
     return [
-        SwingCause(f"{name} encoder", slips, _slipping(joint), (0.6, 0.85, 1.15, 1.4), _TIMES, fasten),
-        SwingCause(f"{name} encoder", slips, _slipped(joint), steps, "{:+.3f} rad", fasten),
+        SwingCause(encoder, slips, _slipping(joint, at_once=False), (0.6, 0.85, 1.15, 1.4), _TIMES, fasten),
+        SwingCause(encoder, slips, _slipping(joint, at_once=True), steps, "{:+.3f} rad", fasten),
         *(
             SwingCause(
                 f"{CHAMBERS[k]} sensor",
@@ -203,23 +204,15 @@ def _stuck(command: Array, value: float, tick: float) -> Array:
     return command
 
 
-def _slipping(joint: int) -> Changed:
-    """The encoder turns `value` times as far as its joint."""
+def _slipping(joint: int, *, at_once: bool) -> Changed:
+    """The encoder turns `value` times as far as its joint; or slips `at_once`, by `value` rad (`jump`)."""
 
     def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
         angle = recorded.raw_angle.copy()
-        angle[:, joint] = angle[0, joint] + (angle[:, joint] - angle[0, joint]) / value
-        return recorded.errors(plant, angle)
-
-    return errors
-
-
-def _slipped(joint: int) -> Changed:
-    """The encoder slips by `value` rad at once, where the joint's angle is least as predicted."""
-
-    def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
-        angle = recorded.raw_angle.copy()
-        angle[recorded.jump(joint) :, joint] -= value
+        if at_once:
+            angle[recorded.jump(joint) :, joint] -= value
+        else:
+            angle[:, joint] = angle[0, joint] + (angle[:, joint] - angle[0, joint]) / value
         return recorded.errors(plant, angle)
 
     return errors
