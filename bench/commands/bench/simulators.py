@@ -275,7 +275,6 @@ Drop = Annotated[list[int] | None, option("Drop the message of the N-th ball; re
 Misread = Annotated[float, option("Fraction of balls with one wrong value.", low=0.0, high=1.0)]
 Double = Annotated[float, option("Fraction of balls measured and sent twice.", low=0.0, high=1.0)]
 Club = Annotated[bool, flag("--club", "Also send club speed and attack angle.")]
-Noise = Annotated[float, option("Noise relative to the default; 0: none.", "FACTOR", low=0.0, high=10.0)]
 Folder = Annotated[
     Path | None,
     option("Folder of the plant's shared records (golfbench nodes --folder).", "DIR", shown="the bench's"),
@@ -289,7 +288,6 @@ def launch_monitor(
     misread: Misread = 0.0,
     double: Double = 0.0,
     club: Club = False,
-    noise: Noise = 1.0,
     folder: Folder = None,
 ) -> None:
     """Simulate a launch monitor for a simulated bench until Ctrl-C or SIGTERM.
@@ -301,18 +299,8 @@ def launch_monitor(
     from sim.launch_monitor import MonitorParameters
 
     c = context.ensure_object(Session).configuration()
-    usual = MonitorParameters()
     parameters = MonitorParameters(
-        speed_noise=noise * usual.speed_noise,
-        angle_noise=noise * usual.angle_noise,
-        spin_noise=noise * usual.spin_noise,
-        axis_noise=noise * usual.axis_noise,
-        carry_noise=noise * usual.carry_noise,
-        dropped=tuple(drop or ()),
-        misread=misread,
-        double=double,
-        club=club,
-        seed=seed,
+        dropped=tuple(drop or ()), misread=misread, double=double, club=club, seed=seed
     )
     settings = c.launch_monitor
     if not settings.enabled:

@@ -359,13 +359,7 @@ def air(
 
 
 @app.command("list")
-def list_campaigns(
-    context: typer.Context,
-    bench: Annotated[
-        str | None, option("Campaigns of this bench only.", "ID", shown="all in the database")
-    ] = None,
-    json_: Json = False,
-) -> None:
+def list_campaigns(context: typer.Context, json_: Json = False) -> None:
     """Show the campaigns in the database, the newest first.
 
     Excluded: hit outside the delivery's bounds, or excluded by hand.
@@ -380,7 +374,6 @@ def list_campaigns(
             found = [
                 (entry, standing_now(address.bench.data_dir, entry.id, standing), counts)
                 for entry, standing, counts in store.entries()
-                if bench in (None, entry.bench)
             ]
     if json_:
         show_json(listing_record(found))
@@ -388,7 +381,7 @@ def list_campaigns(
         console = Console()
         console.print(listing(found, console), crop=False)
     else:
-        typer.echo("No campaigns yet." if bench is None else f"No campaigns of bench {bench} yet.")
+        typer.echo("No campaigns yet.")
 
 
 @app.command()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from importlib.metadata import version
-from math import inf, isfinite, isnan
+from math import isfinite, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -255,9 +255,6 @@ def _show_keys(places: tuple[str, str], first: dict[str, str], second: dict[str,
 
 def replay(
     record: Annotated[Path, argument("RECORD", "Record of a swing, .parquet.")],
-    tolerance: Annotated[
-        float, option("Absolute and relative tolerance; codes must be equal.", low=0.0)
-    ] = 1e-9,
     json_: Json = False,
 ) -> None:
     """Replay a record's readings through the present controller and compare all fields.
@@ -265,25 +262,22 @@ def replay(
     Exits with 1 if a field differs.
     """
     from bench.records.telemetry.recorder import read_swing
-    from bench.simulation.replay import TOLERANCE, replay_cycles
+    from bench.simulation.replay import replay_cycles
 
-    if not 0.0 <= tolerance < inf:
-        action = f"Leave it out for {TOLERANCE:g}."
-        raise BenchError("replay: --tolerance", f"{tolerance}", "a finite number of at least 0", action)
     cycles, metadata = read_swing(record)
     with progress_of(f"replaying {record.name}", len(cycles)) as show:
         replayed = replay_cycles(cycles, metadata, str(record), lambda done, total: show(done))
-    differences = replayed.differences(tolerance)
+    differences = replayed.differences()
     equal = not any(difference.ticks for difference in differences)
     if json_:
-        show_json(replay_json(replayed, differences, metadata, tolerance))
+        show_json(replay_json(replayed, differences, metadata))
         return exit_unless(equal)
     console = Console()
     same = [d.field for d in differences if d.greatest == 0.0]
     if len(same) < len(differences):
         console.print(replay_table(differences))
     console.print(f"the same bit for bit: {', '.join(same) or 'no field'}", highlight=False)
-    console.print(replay_summary(replayed, metadata, tolerance), highlight=False)
+    console.print(replay_summary(replayed, metadata), highlight=False)
     first = min((d for d in differences if d.ticks), key=lambda d: d.tick or 0, default=None)
     if first is None:
         console.print("Equal: today's controller repeats the record.", style="green", highlight=False)
@@ -309,12 +303,14 @@ def replay_table(differences: Sequence[Difference]) -> Table:
     return table
 
 
-def replay_summary(replay: Replay, metadata: Mapping[str, Any], tolerance: float) -> str:
+def replay_summary(replay: Replay, metadata: Mapping[str, Any]) -> str:
     """Return the extent of the replay, and the settings and versions that may explain differences."""
+    from bench.simulation.replay import TOLERANCE
+
     ticks = replay.recorded["tick"]
     lines = [
         f"{len(ticks)} ticks, {ticks[0]} to {ticks[-1]}, through today's cycle; "
-        f"equal means within {tolerance:g} + {tolerance:g} times the value, codes exactly"
+        f"equal means within {TOLERANCE:g} + {TOLERANCE:g} times the value, codes exactly"
     ]
     if replay.defaults:
         lines.append(f"older than these settings, taken by default: {', '.join(replay.defaults)}")
@@ -336,10 +332,10 @@ def changed_versions(metadata: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def replay_json(
-    replay: Replay, differences: Sequence[Difference], metadata: Mapping[str, Any], tolerance: float
+    replay: Replay, differences: Sequence[Difference], metadata: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the same for a program; a value that is no number, or infinite, is null."""
-    from bench.simulation.replay import INPUTS, MEASURED
+    from bench.simulation.replay import INPUTS, MEASURED, TOLERANCE
 
     ticks = replay.recorded["tick"]
     return {
@@ -348,7 +344,7 @@ def replay_json(
         "ticks": len(ticks),
         "first_tick": int(ticks[0]),
         "last_tick": int(ticks[-1]),
-        "tolerance": tolerance,
+        "tolerance": TOLERANCE,
         "fields": [
             {key: finite(value) for key, value in d._asdict().items()}
             if d.ticks

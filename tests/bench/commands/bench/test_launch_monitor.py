@@ -91,7 +91,7 @@ def test_launch_monitor_simulated_shots_have_expected_outcomes(tmp_path: Path) -
     with running_bench(file) as bench, shots(bench) as following, bench.client.lease("test"):
         link = monitored(bench, lambda link: link["listening"])
         assert not link["present"]
-        with simulated_monitor(file, "--noise", "0", "--drop", "2") as monitor:
+        with simulated_monitor(file, "--drop", "2") as monitor:
             monitored(bench, lambda link: link["present"])
             bench.make_ready()
             bench.take_address()
