@@ -310,7 +310,7 @@ class Builder:
         return value * factor if suffix else value
 
     def _unknown(self, names: set[str], node: Tree, prefix: str, keys: Mapping[str, Any]) -> None:
-        writable = [spelling for name, hint in keys.items() for spelling in _spellings(name, hint)]
+        writable = [*keys, *(f"{name}_{suffix}" for name, hint in keys.items() for suffix in suffixes(hint))]
         for name in sorted(names):
             entry = node[name]
             key = entry.key if isinstance(entry, TomlValue) else name
@@ -356,10 +356,6 @@ def suffixes(hint: Any) -> Mapping[str, float]:
     """Return the unit suffixes that a value of type `hint` may have, and their factors."""
     unit = _unit(_parts(hint)[1])
     return {suffix: table[unit] for suffix, table in SUFFIXES.items() if unit in table}
-
-
-def _spellings(name: str, hint: Any) -> list[str]:
-    return [name, *(f"{name}_{suffix}" for suffix in suffixes(hint))]
 
 
 def _factor(marks: tuple[Any, ...], suffix: str) -> float:

@@ -163,7 +163,7 @@ def status_of(
         "supply_pressure_pa": json_value(float(r["supply_pressure"])),
         "chamber_pressure_pa": json_value(r["chamber_pressure"].tolist()),
         "spool_positions": json_value(r["spool_position"].tolist()),
-        "air_faults": [CAUSE_TEXT[fault] for fault in _air_faults(int(r["air_fault"]))],
+        "air_faults": [CAUSE_TEXT[fault] for k, fault in enumerate(FAULTS) if int(r["air_fault"]) >> k & 1],
         "vents_open": [_position(x) for x in r["vent_open"]],
         "shut_off_open": _position(r["shut_off_open"]),
         "emergency_stop_clear": bool(r["emergency_stop_clear"]),
@@ -224,8 +224,3 @@ def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:
 def _position(seen: float) -> bool | None:
     """Return whether a valve is seen open; None without feedback."""
     return bool(seen) if isfinite(seen) else None
-
-
-def _air_faults(bits: int) -> list[Cause]:
-    """Return the causes of `bits` of `bench.control.monitor.pressure_monitor.air_fault`."""
-    return [fault for k, fault in enumerate(FAULTS) if bits >> k & 1]

@@ -31,7 +31,7 @@ from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.records.telemetry.cycle_record import FIELDS
 from bench.records.telemetry.recorder import SwingRecord
-from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
+from bench.viewer.blueprint import Span, campaign_blueprint, shot_blueprint
 from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import ShotSeries
@@ -142,11 +142,6 @@ def swing_span(record: ShotRecord) -> Span:
     swinging = np.flatnonzero(np.isin(cycles["phase"], SWINGING))
     first, last = (swinging[0], swinging[-1]) if len(swinging) else (0, -1)
     return Span(max(0.0, float(time[first]) - _LEAD), float(time[last]) + _LEAD)
-
-
-def live_layout() -> Layout:
-    """Return the layout for a running bench."""
-    return Layout("golfbench_live", live_blueprint())
 
 
 def write_recording(

@@ -98,7 +98,8 @@ class ShotSeries:
             if not len(mine):
                 continue
             shown = mine * [1.0, -1.0]
-            entity = f"dispersion/{_entity(ball)}"
+            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in ball) or "ball"
+            entity = f"dispersion/{name}"
             dots = rr.Points2D.columns(positions=shown, labels=numbers).partition([len(shown)])
             _show(recording, f"{entity}/shots", now, dots, _dot(colour, 5.0, labels=False))
             key = corner + unit * np.array([0.5, 0.06 + 0.08 * location])
@@ -277,11 +278,6 @@ def _along(record: ShotRecord) -> float:
     if record.flight is None:
         return float("nan")
     return float(np.sqrt(max(0.0, record.flight.carry**2 - record.flight.carry_side**2)))
-
-
-def _entity(name: str) -> str:
-    """Return `name` as one part of an entity's path."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name) or "ball"
 
 
 def _ellipse(points: Array) -> Array:

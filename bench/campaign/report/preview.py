@@ -250,7 +250,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
             f"{plan.shots_per_mounting} shots; differences have {found.dof:.0f} degrees of freedom."
         )
         if len(plan.design.balls) > 1:
-            words = outlook_words(_inner(plan))[0].removeprefix("Expected: ")
+            words = outlook_words(within_club(plan, plan.design.clubs[0]))[0].removeprefix("Expected: ")
             lines.append(f"Balls within {plan.design.clubs[0]}: {words}")
     if found.same is not None:
         lines.append(
@@ -260,10 +260,6 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     if (found.power or 0) < a.power:
         lines.append("Not enough shots for this power: plan more blocks or a larger difference.")
     return lines
-
-
-def _inner(plan: CampaignPlan) -> CampaignPlan:
-    return within_club(plan, plan.design.clubs[0])
 
 
 def series_words(series: SeriesSize | None, plan: CampaignPlan) -> str:

@@ -242,13 +242,9 @@ def require_resumable(
         found = "a different plan"
         action = "Omit the file to continue as planned, or start a new campaign."
         raise Refused(location, found, f"the plan {entry.digest}, which is stored with it", action)
+    harmless = tuple(f"{key}." for key in CANNOT_CHANGE_A_SHOT)
     changed = [key for key, _, _ in differences(entry.configuration, configuration.effective())]
-    if changed := [key for key in changed if _can_change_a_shot(key)]:
+    if changed := [key for key in changed if not f"{key}.".startswith(harmless)]:
         found = f"a configuration that differs in {', '.join(changed[:5])}"
         action = "Continue with --config and that configuration, or start a new campaign."
         raise Refused(location, found, "the configuration stored with it", action)
-
-
-def _can_change_a_shot(key: str) -> bool:
-    """Return whether a shot may differ where the configuration's dotted `key` does."""
-    return not any(key == harmless or key.startswith(f"{harmless}.") for harmless in CANNOT_CHANGE_A_SHOT)

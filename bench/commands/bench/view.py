@@ -142,8 +142,9 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
 
     from bench.network.zenoh_session import close_session, open_client
     from bench.records.shot.recorded_shot import FlightConditions
+    from bench.viewer.blueprint import live_blueprint
     from bench.viewer.feed import Feed
-    from bench.viewer.recording import live_layout
+    from bench.viewer.recording import Layout
     from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
 
     c = options.configuration()
@@ -158,7 +159,8 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
     if where.save is not None:
         # No table of contents at its end: that would be kept in memory, and a file cut short is readable so.
         sinks.append(rr.FileSink(_writable(where.save), write_footer=False))
-    recording = _recording(stack, f"bench {c.bench.id}", sinks, live_layout())
+    layout = Layout("golfbench_live", live_blueprint())
+    recording = _recording(stack, f"bench {c.bench.id}", sinks, layout)
     live = LiveView(recording, feed, c.bench.id, c.plant, around)
     if window is not None:
         _say_where(window)

@@ -138,7 +138,7 @@ def stand(plant: PlantParameters) -> DrawnBody:
     top = axes @ np.array([0.0, 0.0, front - _VANE_WIDTH - 2 * _HOUSING]) + origin
     saddle = axes @ np.array([0.0, 0.0, front - _VANE_WIDTH - 2 * _HOUSING - 0.08]) + origin
     feet = [(origin[0] + x, 0.0, saddle[2] + z) for x, z in ((-0.45, 0.25), (0.45, 0.25), (0.0, -0.70))]
-    legs = [_strut(saddle, np.array(foot)) for foot in feet]
+    legs = [Tube(vector(saddle), vector(np.array(foot)), _STRUT, _STRUT - _STRUT_WALL) for foot in feet]
     plates = [Bar((0.12, 0.01, 0.12), (float(x), 0.005, float(z))) for x, _, z in feet]
     return DrawnBody(
         "stand",
@@ -148,10 +148,6 @@ def stand(plant: PlantParameters) -> DrawnBody:
             *(Part(f"foot {number}", plate, FRAME) for number, plate in enumerate(plates, 1)),
         ),
     )
-
-
-def _strut(start: np.ndarray, end: np.ndarray) -> Tube:
-    return Tube(vector(start), vector(end), _STRUT, _STRUT - _STRUT_WALL)
 
 
 def tee(plant: PlantParameters) -> DrawnBody:
