@@ -16,7 +16,7 @@ import numpy as np
 from bench.base.errors import BenchError, ExitCode
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base.native_calls import NativeCall
-from drivers.base.shared_memory import MappedSlots, SharedMemoryError
+from drivers.base.shared_memory import MappedSlots, SharedMemoryError, SharedRecord
 
 CAPACITY = 16384
 """Min number of records."""
@@ -24,7 +24,6 @@ _SECONDS = 16.0
 """Time that the ring holds, s: a reader that stores a swing on a busy machine takes some."""
 
 _KIND = "ring"
-_ATTEMPTS = 16
 
 
 def ring_capacity(rate: float) -> int:
@@ -92,8 +91,7 @@ class RingReader:
         """Records that were overwritten before this reader read them."""
         past = self.capacity - 1 if from_oldest else min(past, self.capacity - 1)
         self._next = max(1, self.head - past)
-        self._newest = b""
-        self._newest_number = 0
+        self._newest = SharedRecord(self._slots)
 
     @property
     def capacity(self) -> int:
@@ -128,16 +126,8 @@ class RingReader:
 
     def newest(self) -> np.ndarray[Any, Any] | None:
         """Return the newest record as a one-element array of CYCLE; None before the first. Never waits."""
-        slots = self._slots
-        for _ in range(_ATTEMPTS):
-            number = slots.head
-            if number == self._newest_number:
-                break
-            data = slots.fetch(number)
-            if data is not None:
-                self._newest_number, self._newest = number, data
-                break
-        return np.frombuffer(bytearray(self._newest), CYCLE) if self._newest else None
+        record = np.zeros(1, CYCLE)
+        return record if self._newest.read(record) else None
 
     def close(self) -> None:
         """Unmap; the file stays. Allowed twice."""
