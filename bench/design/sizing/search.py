@@ -19,7 +19,6 @@ from bench.design.sizing.study import (
     SizedSwing,
     SizingDemand,
     SwingStudy,
-    as_json,
     non_dominated,
     plan_of,
     swing_of,
@@ -122,7 +121,7 @@ class SizingRun:
         self._engine, self._show, self._stop = engine, show, stop
         folder.mkdir(parents=True, exist_ok=True)
         digest = _digest(catalogue, demand)
-        self._plans = SweepStore[SizedPlan](folder / "plans.jsonl", digest, as_json, plan_of)
+        self._plans = SweepStore[SizedPlan](folder / "plans.jsonl", digest, asdict, plan_of)
         self._digest = digest
 
     @property
@@ -178,7 +177,7 @@ class SizingRun:
         if not chosen or self._stop():
             return points
         file = self.folder / f"swings-{search.spacing}.jsonl"
-        store = SweepStore[SizedSwing](file, self._digest, as_json, swing_of)
+        store = SweepStore[SizedSwing](file, self._digest, asdict, swing_of)
         sweep(
             SwingStudy(self.catalogue, self.demand, search.spacing, self.folder),
             chosen,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import nan, radians
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -86,19 +86,14 @@ def non_dominated(points: Sequence[SizedPoint]) -> list[SizedPoint]:
     return front
 
 
-def as_json(result: SizedPlan | SizedSwing) -> dict[str, Any]:
-    """Return `result` for a store."""
-    return asdict(result)
-
-
 def plan_of(record: dict[str, Any]) -> SizedPlan:
-    """Return the plan that `as_json` made a record of."""
+    """Return the plan that `asdict` made a record of."""
     binding = tuple((str(name), float(gain)) for name, gain in record["binding"])
     return SizedPlan(**record | {"carried": tuple(record["carried"]), "binding": binding})
 
 
 def swing_of(record: dict[str, Any]) -> SizedSwing:
-    """Return the swing that `as_json` made a record of."""
+    """Return the swing that `asdict` made a record of."""
     return SizedSwing(**record)
 
 

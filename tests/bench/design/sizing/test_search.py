@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from bench.design.sizing.study import (
     SizedPoint,
     SizedSwing,
     SizingDemand,
-    as_json,
     non_dominated,
     plan_of,
     swing_of,
@@ -117,11 +116,11 @@ def test_sizing_run_stop_leaves_rest_for_next_run(tmp_path: Path) -> None:
     assert len(ASKED) == len(set(ASKED)) == len(whole)
 
 
-def test_as_json_round_trip_returns_plan_and_swing() -> None:
+def test_stored_record_round_trip_returns_plan_and_swing() -> None:
     plan = SizedPlan(60.0, "", (1.0, 2.0), 9e5, (("time", 0.1),))
     swing = SizedSwing(58.1, "", 0.01, 0.04, 9e5, 0.2, 0.6, 0.6, 10, 1, 2)
-    assert plan_of(as_json(plan)) == plan
-    assert swing_of(as_json(swing)) == swing
+    assert plan_of(asdict(plan)) == plan
+    assert swing_of(asdict(swing)) == swing
 
 
 def test_draw_front_writes_picture(tmp_path: Path) -> None:
