@@ -36,6 +36,8 @@ from bench.supervisor.child import Child
 
 _ENCODERS = (Cause.SHOULDER_ENCODER, Cause.ARM_ENCODER, Cause.WRIST_ENCODER)
 _JUMPS = (Cause.SHOULDER_JUMP, Cause.ARM_JUMP, Cause.WRIST_JUMP)
+_JUST = 4
+"""Records up to the stop in which a stall explains a jump."""
 _ROUNDING = 5e-5
 """Rounding of the times of ticks (s)."""
 BEFORE = 20
@@ -61,14 +63,16 @@ def stall_note(
     if not (homing or cause in _ENCODERS + _JUMPS):
         return ""
     last = cycles[cycles["phase"] == Phase.HOMING] if homing else cycles[-BEFORE:]
+    recent = len(last) if homing else _JUST if cause in _JUMPS else 2
     if not len(last):
         return ""
     lost, jump = last["encoder_valid"] == 0, homing or cause in _JUMPS
     # A moving joint is elsewhere after a single missed tick; contacts with the stops are found more slowly.
     least = period if cause in _JUMPS else encoder_timeout / 2
-    older = last["encoder_age"] - last["encoder_age"].min(axis=0)
-    late = np.all(lost | (older >= least - _ROUNDING), axis=1)
-    gap = float(last["measured_step"].max())
+    age = last["encoder_age"]
+    older = age - np.fmin.reduce(age, axis=0)
+    late = np.all(lost | (older >= least - _ROUNDING) | (age >= least + period), axis=1)
+    gap = float(last["measured_step"][-_JUST if cause in _JUMPS else 0 :].max())
     if gap - period >= least:
         when = "while homing" if homing else "just before"
         return (
@@ -77,7 +81,7 @@ def stall_note(
         )
     if fault and not jump:
         return fault
-    if late[-2:].any() or (jump and late.any()):
+    if late[-recent:].any():
         return (
             f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with "
             "simulated nodes their process stood still, a stall of this machine; driver "

@@ -47,6 +47,13 @@ def test_stall_note_encoder_back_in_last_tick_names_all_three() -> None:
     assert "all three encoders were lost at once" in note(cycles, Cause.ARM_ENCODER)
 
 
+def test_stall_note_stall_longer_than_records_names_all_three() -> None:
+    cycles = records()
+    cycles["encoder_age"] = np.linspace(0.004, 0.0052, 10)[:, None]
+    cycles["encoder_age"][2] = np.nan
+    assert "all three encoders were lost at once" in note(cycles)
+
+
 def test_stall_note_jump_after_one_missed_tick_names_all_three() -> None:
     cycles = records()
     cycles["encoder_age"] = -5e-5  # sampled at the tick, as over CANopen
@@ -54,6 +61,8 @@ def test_stall_note_jump_after_one_missed_tick_names_all_three() -> None:
     assert note(cycles, Cause.SHOULDER_JUMP) == "", "one encoder alone is its own"
     cycles["encoder_age"][-2] = 0.00096
     assert "all three encoders were late at once" in note(cycles, Cause.SHOULDER_JUMP)
+    cycles["encoder_age"][-2], cycles["encoder_age"][-6] = -5e-5, 0.00096
+    assert note(cycles, Cause.SHOULDER_JUMP) == "", "six ticks before it explains no jump"
 
 
 def test_stall_note_jump_after_stall_names_stall() -> None:
