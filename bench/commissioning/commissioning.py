@@ -10,9 +10,8 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from hashlib import sha256
-from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple, NotRequired, TypedDict, TypeVar, get_type_hints
+from typing import Any, NamedTuple, TypedDict, TypeVar, get_type_hints
 
 import numpy as np
 
@@ -54,6 +53,8 @@ from sim.plant import PlantParameters
 
 STATE_FILE, ROBOT_FILE, _LOCK_FILE = "commissioning.json", "robot.toml", "process"
 _VERSION = 1
+_DIGEST = "# as written by golfbench commission: "
+"""Start of the last line of robot.toml, before the digest of the others."""
 _REPEATS = 9
 """Max repetitions of a measuring step that a stall of the computer ended."""
 
@@ -104,7 +105,6 @@ class _StoredState(TypedDict):
     configuration: str
     simulated: bool
     robot: str
-    robot_text: NotRequired[str]
     done: tuple[DoneStep, ...]
     wrong: FaultRecord | None
 
@@ -123,8 +123,6 @@ class Commissioning:
     """File of the robot that truly moved last, simulated; empty: the configured one."""
     done: list[DoneStep] = field(default_factory=list)
     wrong: FaultRecord | None = None
-    robot_text: str = ""
-    """Text of robot.toml as last written here."""
 
     @property
     def values(self) -> list[ParameterEstimate]:
@@ -144,7 +142,6 @@ class Commissioning:
             "configuration": self.configuration,
             "simulated": self.simulated,
             "robot": self.robot,
-            "robot_text": self.robot_text,
             "done": [
                 step._asdict() | {"values": [value._asdict() for value in step.values]} for step in self.done
             ],
@@ -169,7 +166,8 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
     if resume:
         state = read_state(folder)
         measured = any(step.name != INPUT_CHECK.name for step in state.done)
-        if state.simulated != simulated or (state.digest != digest and (simulated or measured)):
+        kept = not state.wrong and (simulated or measured)
+        if state.simulated != simulated or (state.digest != digest and kept):
             kind = "simulated" if state.simulated else "not simulated"
             expected = f"the robot and wiring of {state.configuration}, {kind}"
             action = "Continue with the same --config and --sim, or begin in another folder."
@@ -187,21 +185,23 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
         if not above.is_dir():
             raise NotStored(str(above), "no folder", "a folder", "Name another one with --output.")
         state = Commissioning(folder, digest, file, simulated)
-    require_unedited(state)
+    require_unedited(folder / ROBOT_FILE)
     return state
 
 
-def require_unedited(state: Commissioning) -> None:
-    """Raise Refused if robot.toml in the folder of `state` is not as it was written there."""
-    path = state.folder / ROBOT_FILE
+def with_digest(text: str) -> str:
+    """Return the `text` of robot.toml with its digest in a last line."""
+    return f"{text}{_DIGEST}{sha256(text.encode()).hexdigest()[:16]}\n"
+
+
+def require_unedited(path: Path) -> None:
+    """Raise Refused if the robot.toml at `path` is not as it was written."""
     if not path.exists():
         return
     action = "Move it to another name, or delete it; a change that stays goes into a file with it as `base`."
-    found, written = read_text(path, "a text", action).splitlines(), state.robot_text.splitlines()
-    for number, (one, before) in enumerate(zip_longest(found, written), 1):
-        if one != before:
-            change = "missing" if one is None else repr(one)
-            raise Refused(f"{path}: line {number}", change, f"{before!r}, as written", action)
+    found = read_text(path, "a text", action)
+    if found != with_digest(found.rpartition(_DIGEST)[0]):
+        raise Refused(str(path), "an edited file", "the file as golfbench commission wrote it", action)
 
 
 def read_state(folder: Path) -> Commissioning:
@@ -234,8 +234,7 @@ def read_state(folder: Path) -> Commissioning:
         done.append(_stored(DoneStep, step | {"values": values, "notes": tuple(step["notes"])}))
     wrong = None if content["wrong"] is None else _stored(FaultRecord, content["wrong"])
     digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
-    robot, text = stored["robot"], stored.get("robot_text", "")
-    return Commissioning(folder, digest, configuration, simulated, robot, done, wrong, text)
+    return Commissioning(folder, digest, configuration, simulated, stored["robot"], done, wrong)
 
 
 def _stored(kind: type[_Part], content: Mapping[str, Any]) -> _Part:

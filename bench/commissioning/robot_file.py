@@ -12,7 +12,7 @@ from textwrap import wrap
 import jinja2
 
 from bench.base.to_toml import toml_value
-from bench.commissioning.commissioning import ALL_STEPS, Commissioning
+from bench.commissioning.commissioning import ALL_STEPS, Commissioning, with_digest
 from bench.commissioning.machine.step import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
@@ -33,7 +33,7 @@ GUESSES = (
 NO_CALIBRATION = (
     "The zeros of the encoders hold for the presets that these have now, which no file holds. A bench with "
     "hardware arms only with calibrations in force (golfbench calibrate list), of which the encoders' stores "
-    "the presets that the running bench has read, for comparison at each start."
+    "the presets that the running bench has read, for comparison at each start. For encoders and valves:"
 )
 """Why robot.toml does not replace a calibration, for its reader."""
 
@@ -93,7 +93,7 @@ def robot_file(
     lines += [
         f'"{found.key}" = {toml_value(found.error)}' for found in known.found.values() if found.error > 0.0
     ]
-    return "\n".join(lines) + "\n"
+    return with_digest("\n".join(lines) + "\n")
 
 
 def _calibration(known: RobotEstimate, file: Path) -> list[str]:

@@ -94,9 +94,10 @@ class SwingOperator(Generic[AnyStepper]):
 
     # Records -------------------------------------------------------------------------------------------
 
-    def begin_record(self) -> None:
-        """Drop the records kept so far."""
-        self._kept = []
+    def begin_record(self, keep: float = 0.0) -> None:
+        """Drop the records kept so far, up to those of the last `keep` s."""
+        ticks = round(keep / self.period)
+        self._kept = [self.record()[-ticks:]] if ticks and self._kept else []
 
     @property
     def latest(self) -> Cycles:

@@ -45,7 +45,9 @@ Turn = Annotated[
         names="--regulator",
     ),
 ]
-Resume = Annotated[bool, flag("--resume", "Continue after the last step done in DIR.")]
+Resume = Annotated[
+    bool, flag("--resume", "Continue after the last step done in DIR, after a fault from the first.")
+]
 Check = Annotated[bool, flag("--check", "Move nothing: check the files, and say what each step does.")]
 Json = Annotated[bool, flag("--json", "With --check: print JSON.")]
 
@@ -211,15 +213,14 @@ def _write_robot(
     from bench.commissioning.machine.step import LEARNED_FILE
     from bench.commissioning.robot_file import robot_file
 
-    require_unedited(state)
+    require_unedited(file)
     measured = max((step.date for step in state.done if step.values), default=None)
     made = datetime.fromisoformat(measured) if measured else datetime.now(UTC)
     learned = file.with_name(LEARNED_FILE)
     profile = learned if following and learned.exists() else None
-    state.robot_text = robot_file(known, state.configuration, made, envelope, following, profile, file)
     with atomic_file(file) as stream:
-        stream.write(state.robot_text.encode())
-    state.save()
+        text = robot_file(known, state.configuration, made, envelope, following, profile, file)
+        stream.write(text.encode())
 
 
 class _Machine(NamedTuple):

@@ -263,7 +263,8 @@ class LiveSeries:
         if self._state is not State.READY:
             cause = operator.cause
             found = cause_text(cause, self._stall()) if cause else f"state {self._state.name}"
-            raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
+            action = "Follow the text, then --resume; after a repair begin in another folder."
+            raise Refused("homing", found, "a homed robot in state READY", action)
         operator.wait_for(lambda: bool(operator.control["venting"]["emptied"][0]), _TIMEOUT)
         operator.wait_for(operator.is_vented, SETTLING_TIMEOUT)
         self._ask(Request.ARM)
@@ -290,7 +291,7 @@ class LiveSeries:
                 )
             self._require_no_stop()
             operator.advance(round(_AGAIN / operator.period))
-            operator.begin_record()
+            operator.begin_record(keep=_LAST)
             waited += _AGAIN
 
     def _tee_up(self, *, ball: bool) -> None:

@@ -252,6 +252,7 @@ def test_machine_server_arm_refused_reports_state_and_reason(
     assert refused.value.action == "follow the text, then --resume."
     assert isinstance(refused.value, ArmingFailed)
     assert refused.value.cycles["state"][-1] == State.READY
+    assert len(refused.value.cycles) > 500, "not only the last request"
     server.obey("vent", 40.0)
 
 
