@@ -37,8 +37,8 @@ class BenchSettings:
     database: str = ""
     """URL of the database; empty: SQLite in `data_dir`."""
     commissioned: str = ""
-    """Time (ISO, UTC) at which golfbench commission measured the robot; empty: never. Calibrations before it
-    that replace values of the configuration block arming."""
+    """Time (ISO, UTC) at which golfbench commission measured the robot; empty: never. Calibrations of
+    encoders and valves before it that replace values of the configuration block arming."""
 
 
 @dataclass(frozen=True)

@@ -371,6 +371,14 @@ class Calibration:
         """Return the calibration of `kind` in force, if any; it may have expired."""
         return next((entry for entry in self.entries if entry.kind is kind), None)
 
+    def without(self, kind: CalibrationKind) -> Calibration:
+        """Return the calibrations but those of `kind`."""
+        entries, later = (
+            tuple(entry for entry in found if entry.kind is not kind) for found in (self.entries, self.later)
+        )
+        unreadable = tuple(entry for entry in self.unreadable if entry.kind != kind)
+        return replace(self, entries=entries, later=later, unreadable=unreadable)
+
     @property
     def shifts(self) -> CalibratedShifts | None:
         """Zero shifts in the encoders at their calibration; None if they were never calibrated."""
@@ -479,12 +487,13 @@ def replaced_values(calibration: Calibration, configuration: Configuration) -> t
     return tuple(ReplacedValues(entry, values) for entry, values in changed if values)
 
 
-def outdated(replaced: ReplacedValues, configuration: Configuration) -> BenchError | None:
+def outdated(replaced: ReplacedValues, configuration: Configuration) -> Refused | None:
     """Return the fault of a calibration that replaces values commissioned later; None if it does not."""
     entry, commissioned = replaced.entry, configuration.commissioned
-    if commissioned is None or entry.date >= commissioned:
+    measured = entry.kind in (CalibrationKind.ENCODERS, CalibrationKind.VALVES)
+    if commissioned is None or entry.date >= commissioned or not measured:
         return None
-    return BenchError(
+    return Refused(
         entry.name,
         f"{replaced.text}, which were commissioned later",
         f"a calibration since {commissioned:%Y-%m-%d %H:%M} UTC (bench.commissioned)",

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from pathlib import Path
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, Refused
 from bench.base.lifecycle import Block
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import (
@@ -150,8 +150,7 @@ def mount(
     mounted = configuration.with_club(club)
     found, here, there = calibration_of(mounted, when), configuration.plant.site, mounted.plant.site
     if (here.ball_x, here.ball_y) != (there.ball_x, there.ball_y):
-        entries = tuple(entry for entry in found.entries if entry.kind is not CalibrationKind.BALL)
-        found = replace(found, entries=entries)
+        found = found.without(CalibrationKind.BALL)
     return mounted, found
 
 
@@ -225,13 +224,13 @@ def _contradictions(c: Configuration, replaced: Iterable[ReplacedValues]) -> lis
     return found
 
 
-def _rewired(calibration: Calibration, c: Configuration) -> list[BenchError]:
+def _rewired(calibration: Calibration, c: Configuration) -> list[Refused]:
     """Return the fault of a check of the inputs with other wiring, if it is so."""
     inputs = calibration.of(CalibrationKind.INPUTS)
     if inputs is None or not is_rewired(inputs.values, c):
         return []
     found, expected = "a check with other driver settings", "a check of the inputs with the settings in force"
-    return [BenchError(inputs.name, found, expected, f"Run golfbench calibrate {inputs.kind}.")]
+    return [Refused(inputs.name, found, expected, f"Run golfbench calibrate {inputs.kind}.")]
 
 
 def _fitted_sensors(c: Configuration) -> tuple[bool, bool]:

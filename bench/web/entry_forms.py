@@ -74,6 +74,7 @@ FORMS: Mapping[str, EntryForm] = {
             "Enter the joint angles of that pose. The bench reads the counts itself while the robot is "
             "locked; enter them only if no bench runs.",
             "Unlock the robot, leave, end the access; restart the bench and home it.",
+            "If one was mounted again, use golfbench calibrate encoders --remounted at the command line.",
         ),
         (
             FormField("from-pose", "Angles of the reference", "°", triple=True),

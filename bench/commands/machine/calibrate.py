@@ -110,7 +110,10 @@ def encoders(
     here = configuration.plant.encoders
     # Not by `apply`: the calibration in force may belong to other encoders.
     entry = calibration_of(configuration, datetime.now(UTC)).of(CalibrationKind.ENCODERS)
-    known = entry.values if entry is not None and isinstance(entry.values, EncoderZeros) else here
+    commissioned = configuration.commissioned
+    known: EncoderZeros | Encoders = here
+    if entry is not None and isinstance(entry.values, EncoderZeros):
+        known = here if commissioned is not None and entry.date < commissioned else entry.values
     sign = sign or known.sign
     content: dict[str, Any] = {
         "sign": sign,
@@ -136,7 +139,7 @@ def encoders(
     else:
         content["zero_count"] = zero_counts
     if not remounted:
-        _require_known_zeros(content["zero_count"], sign, configuration, known, here)
+        _require_known_zeros(content["zero_count"], sign, configuration, known)
     _add(
         context, CalibrationKind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_
     )
@@ -333,31 +336,23 @@ def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) ->
 
 
 def _require_known_zeros(
-    zeros: Three, sign: tuple[int, int, int], c: Configuration, *known: EncoderZeros | Encoders
+    zeros: Three, sign: tuple[int, int, int], c: Configuration, known: EncoderZeros | Encoders
 ) -> None:
-    """Raise BenchError if `zeros` are near none of `known`; default ones and other encoders are unknown."""
+    """Raise BenchError if `zeros` are far from the `known` ones; those of other encoders are unknown."""
     from drivers.base import JOINTS
     from sim.plant import Encoders
 
-    faults, most = list[BenchError](), [degrees(angle) for angle in c.homing.tolerance]
     turn = c.plant.encoders.counts_per_revolution
-    for there in known:
-        if there.zero_count == Encoders().zero_count or there.counts_per_revolution != turn:
-            continue
-        off = [
-            abs((a - b + turn / 2) % turn - turn / 2) * 360.0 / turn
-            for a, b in zip(zeros, there.zero_count, strict=True)
-        ]
-        wrong = [i for i in range(3) if off[i] > most[i] or sign[i] != there.sign[i]]
-        if not wrong:
-            return
-        (i, *_), expected = wrong, "zero and sign in force, within {:.1f} deg (homing.tolerance)"
-        found = f"zero {off[i]:.1f} deg from the present one, sign {sign[i]:+} ({there.sign[i]:+} in force)"
-        action = "Check pose, order and signs; if an encoder was mounted again, add --remounted."
-        location = f"calibrate encoders: {JOINTS[i]}"
-        faults.append(BenchError(location, found, expected.format(most[i]), action))
-    if faults:
-        raise faults[0]
+    if known.zero_count == Encoders().zero_count or known.counts_per_revolution != turn:
+        return
+    for i, joint in enumerate(JOINTS):
+        off = abs((zeros[i] - known.zero_count[i] + turn / 2) % turn - turn / 2) * 360.0 / turn
+        most = degrees(c.homing.tolerance[i])
+        if off > most or sign[i] != known.sign[i]:
+            found = f"zero {off:.1f} deg from the present one, sign {sign[i]:+} ({known.sign[i]:+} in force)"
+            expected = f"zero and sign in force, within {most:.1f} deg (homing.tolerance)"
+            action = "Check pose, order and signs; if an encoder was mounted again, add --remounted."
+            raise BenchError(f"calibrate encoders: {joint}", found, expected, action)
 
 
 def _live_counts(configuration: Configuration) -> tuple[int, int, int]:

@@ -533,4 +533,4 @@ def test_campaign_check_machine_rewired_after_check_of_inputs_is_refused(
         seen = SeenInputs(("guard",), "other wiring")
         add_calibration(database, settings.id, seen, date=date, expires=expires, by="test", method="by hand")
     code, _, errors = golfbench("campaign", "check", "two-balls", more=MACHINE + UNWATCHED)
-    assert (code, "with other driver settings" in errors) == (ExitCode.BAD_INPUT, True)
+    assert (code, "with other driver settings" in errors) == (ExitCode.REFUSED, True)

@@ -194,6 +194,17 @@ def test_calibrate_encoders_zero_far_from_present_one_needs_option(
     assert golfbench("calibrate", *other, "--remounted")[0] == 0
 
 
+def test_calibrate_encoders_configured_zeros_of_before_remounting_need_option(
+    golfbench: Run, tmp_path: Path
+) -> None:
+    with (tmp_path / "mine.toml").open("a", encoding="utf-8") as file:
+        file.write("[plant.encoders]\nzero_count = [1000.0, 2000.0, 3000.0]\n")
+    zeros = ["encoders", "--uncertainty-deg", "0.05", "--zero-counts"]
+    assert golfbench("calibrate", *zeros, "1000", "9000", "3000", "--remounted")[0] == 0
+    code, _, errors = golfbench("calibrate", *zeros, "1000", "2000", "3000")
+    assert (code, "--remounted" in errors) == (ExitCode.BAD_INPUT, True)
+
+
 def test_calibration_unreadable_row_is_shown_with_cure_and_superseded(golfbench: Run, tmp_path: Path) -> None:
     assert golfbench("calibrate", *POSE, "--counts", "100", "131000", "7")[0] == 0
     with closing(sqlite3.connect(tmp_path / "data" / "golfbench.sqlite")) as plain, plain:
