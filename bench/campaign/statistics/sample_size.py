@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import combinations
 from math import sqrt
 from typing import NamedTuple
@@ -285,14 +285,23 @@ def series_needed(
     if known is None:
         return None, None
     alpha = alpha_at_end(plan)
+    balls = plan.ball_handling.samples if plan.design.compare == "ball" else 1
+
+    @cache
+    def foreseen(shots: int, units: int) -> tuple[float, float]:
+        """Return standard error and degrees of freedom, laid out as planned or scaled from there."""
+        if plan.split or shots > _REFERENCE or units != (min(shots, balls) if balls > 1 else shots):
+            return _scaled(known, shots, units)
+        laid_out = predict_precision(plan, sd, ball_sd, shots)
+        return (known.error, 0.0) if laid_out is None else (laid_out.error, laid_out.dof)
 
     def found(shots: int, units: int) -> float:
-        error, dof = _scaled(known, shots, units)
-        return power_of_shift(a.target_difference / error, dof, known.single)
+        error, dof = foreseen(shots, units)
+        return power_of_shift(a.target_difference / error, dof, known.single) if dof else 0.0
 
     def same(shots: int, units: int) -> float:
-        error, dof = _scaled(known, shots, units)
-        return same_power_of_error(a.equivalence_margin, error, dof, alpha / known.pairs)
+        error, dof = foreseen(shots, units)
+        return same_power_of_error(a.equivalence_margin, error, dof, alpha / known.pairs) if dof else 0.0
 
     return _series(plan, found), _series(plan, same) if a.equivalence_margin else None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import tomllib
 from collections.abc import Callable
@@ -40,6 +41,22 @@ def test_campaign_new_writes_commented_plan_with_computed_blocks(call: Call, tmp
     assert "# worth finding, same unit" in text
     assert "14 shots, about 11 min" in done.stdout
     assert call("check", "two-balls.toml").exit_code == 0
+
+
+@pytest.mark.parametrize("options", [(), ("--control", "range")], ids=" ".join)
+@pytest.mark.parametrize("difference", ["1", "1.5", "2.74"])
+def test_campaign_new_computed_blocks_are_fewest_for_power(
+    call: Call, tmp_path: Path, options: tuple[str, ...], difference: str
+) -> None:
+    asked = (*TWO, *options, "--difference", difference, "--sd", "1")
+    assert call("new", "a.toml", *asked).exit_code == 0
+    blocks = int(tomllib.loads((tmp_path / "a.toml").read_text())["design"]["blocks"])
+    chances = []
+    for number in (blocks - 1, blocks):
+        assert call("new", f"{number}.toml", *asked, "--blocks", str(number)).exit_code == 0
+        found = json.loads(call("check", f"{number}.toml", "--json").stdout)["outlook"]["power"]
+        chances.append(found or 0.0)
+    assert chances[0] < 0.8 <= chances[1]
 
 
 def test_campaign_new_control_shots_reduce_reported_ball_count(call: Call) -> None:
