@@ -127,8 +127,8 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.STATE: ("not possible in this state", ""),
     Refusal.STOPPING: ("a stop is under way", "wait for standstill"),
     Refusal.EMERGENCY_STOP: ("the emergency stop circuit is open", "release it"),
-    Refusal.GUARD: ("the guard is open or not locked", "close it, after an access also secure it"),
-    Refusal.READINGS: ("an encoder yields no valid readings", "check cables and supply"),
+    Refusal.GUARD: ("the guard is open or not locked", "close it (after an access: golfbench access --end)"),
+    Refusal.READINGS: ("an encoder yields no valid readings", "check cables and supply voltage"),
     Refusal.NOT_AT_ADDRESS: ("the robot does not rest at its address yet", "wait, then retry"),
     Refusal.AIR: ("the chambers are not at their planned pressures yet", "wait, then retry"),
     Refusal.NO_LEASE: ("no valid lease", "take it (golfbench lease take), then retry"),
@@ -343,7 +343,7 @@ CAUSE_WORDS: dict[Cause, Words] = {
     Cause.GUARD: ("guard open or not locked", "close it, then reset"),
     Cause.NOT_FINITE: ("a NaN or infinite value reached the envelope", "keep the record and report it"),
     **_each_joint(
-        Cause.SHOULDER_ENCODER, "{joint} encoder {encoder} without a valid reading", "check cable and supply"
+        Cause.SHOULDER_ENCODER, "{joint} encoder {encoder} without a valid reading", "check cable and voltage"
     ),
     Cause.TICK_GAP: ("the loop paused for longer than a swing allows", "run `golfbench doctor`"),
     Cause.SUPPLY_PRESSURE: ("supply pressure outside the range for swings", "check compressor and regulator"),
