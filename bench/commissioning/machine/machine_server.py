@@ -17,7 +17,7 @@ import numpy as np
 from bench.base.clock import Clock
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
-from bench.commissioning.machine.driver_machine import DriverMachine, stopped_by_operator
+from bench.commissioning.machine.driver_machine import DriverMachine, Stalled, stopped_by_operator
 from bench.config import Configuration
 from bench.control.settings import build_controller, with_tables_of
 from bench.control.states import near_address
@@ -79,6 +79,7 @@ class LiveSeries:
 
         Raises:
             ArmingFailed: the robot does not reach its address, or the bench refuses.
+            Stalled: stalls of the computer ended each try.
             Refused: it was stopped.
         """
         self.bench, self._driver, self._say = bench, driver, say
@@ -244,11 +245,14 @@ class LiveSeries:
             except Refused as refused:
                 if self._operator.stop():
                     raise
-                if not (left and (stall := self._stall())):
+                if not (stall := self._stall()):
                     error = ArmingFailed(*refused.args)
                     error.cycles = self._operator.record()[-round(_LAST / self._operator.period) :]
                     raise error from None
                 why = cause_text(self._operator.cause, stall)
+                if not left:
+                    action = "Look at the timing: golfbench doctor, then --resume."
+                    raise Stalled(f"arming, {_REPEATED} times", why, "an armed robot", action) from None
                 self._say(f"stopped while arming: {why}; it is armed again")
 
     def _arm_once(self) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bench.base.errors import Refused
+from bench.commissioning.machine.driver_machine import Stalled
 from bench.commissioning.machine.machine import Array
 from bench.commissioning.machine.step import (
     MachineFault,
@@ -323,6 +324,6 @@ class DiagnosedRobot:
 
     def explained(self, error: Refused) -> Refused:
         """Return `error` of a step with the diagnosis of the last swing, if that names no cause."""
-        if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
+        if self.last is None or self.last.named is not None or isinstance(error, (PredictionFails, Stalled)):
             return error
         return type(error)(error.location, f"{error.found}; {self.last.text}", error.expected, error.action)

@@ -23,6 +23,7 @@ import pytest
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Request, State
+from bench.commissioning.machine.driver_machine import Stalled
 from bench.commissioning.machine.inputs import OperatorIO, of_simulation
 from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment
 from bench.commissioning.machine.machine_process import (
@@ -404,6 +405,31 @@ def test_machine_server_stalls_at_address_repeat_up_to_limit(
     else:
         assert server.obey("swing", slow, False).cause is Cause.NONE
     assert sum("stopped at the address" in text for text in said) == ADDRESS_TRIES + 1
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_machine_server_stall_in_each_arming_ends_named_as_stall(
+    server: MachineServer,
+    driver: WatchedDriver,
+    configuration: Configuration,
+    slow: Profile,
+    said: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    original, reads = driver.read_record, [0]
+
+    def read(at: float, record: np.ndarray) -> None:
+        original(at, record)
+        reads[0] += 1
+        if reads[0] % 4000 > 3900:
+            record["encoder_valid"] = 0
+
+    monkeypatch.setattr(driver, "read_record", read)
+    monkeypatch.setattr("bench.commissioning.machine.machine_server._REPEATED", 3)
+    with pytest.raises(Stalled, match=r"arming, 3 times: .* all three encoders were lost at once"):
+        server.obey("arm", bench_of(configuration, slow))
+    assert sum("it is armed again" in text for text in said) == 2
 
 
 @compiled_only
