@@ -226,18 +226,19 @@ def _pair(
     unit: DisplayUnit,
 ) -> Verdict:
     a, name, of = plan.analysis, quantity_name(plan), unit.of
-    between = comparison.ball_sd
+    between, ahead, behind, low, high = comparison.ball_sd, pair.first, pair.second, pair.low, pair.high
+    if pair.difference < 0.0:
+        ahead, behind, low, high = behind, ahead, -high, -low
     seen = (
-        f"Difference {pair.first} − {pair.second}: {_signed(of(pair.difference))} {unit.unit}, "
-        f"{confidence_words(comparison.confidence)} % interval {_signed(of(pair.low))} to "
-        f"{_signed(of(pair.high))} {unit.unit}. {_size(plan, [pair])} One shot scatters by "
+        f"Difference {ahead} − {behind}: {_signed(of(abs(pair.difference)))} {unit.unit}, "
+        f"{confidence_words(comparison.confidence)} % interval {_signed(of(low))} to "
+        f"{_signed(of(high))} {unit.unit}. {_size(plan, [pair])} One shot scatters by "
         f"{_sd(of(comparison.sd))} {unit.unit} (SD)"
     )
     groups = "mountings of one club" if plan.split else "balls of one model"
     seen += "" if between is None else f", {groups} by {_sd(of(between))} {unit.unit}"
     match pair.verdict:
         case "different" | "both":
-            ahead, behind = (pair.first, pair.second) if pair.difference > 0 else (pair.second, pair.first)
             less = f", though by less than {_margin(plan, unit)}" if pair.verdict == "both" else ""
             headline = (
                 f"{ahead} has {abs(of(pair.difference)):.2f} {unit.unit} more {name} than {behind}{less}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -43,6 +44,14 @@ def test_verdict_one_ball_holds_for_ball_not_model() -> None:
     assert "holds for this ball, not for its model" in verdict.detail
     many = _case("ball SD half")
     assert "not for its model" not in _first(many.plan, drawn(many, 9.0, 1)[0]).detail
+
+
+@pytest.mark.parametrize("shift", [9.0, -9.0])
+def test_verdict_difference_has_higher_level_first(shift: float) -> None:
+    case = _case("one ball of each x 20, balls differ")
+    verdict = _first(case.plan, drawn(case, shift, 1)[0])
+    ahead, behind = re.match(r"(\S+) has .* than (\S+)\.$", verdict.headline).groups()  # type: ignore[union-attr]
+    assert f"Difference {ahead} − {behind}: +" in verdict.detail
 
 
 def test_analyse_repeated_hits_count_as_one_ball() -> None:
