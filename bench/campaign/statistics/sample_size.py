@@ -281,27 +281,31 @@ def series_needed(
     a = plan.analysis
     if sd <= 0:
         return SeriesSize(2, 2), SeriesSize(2, 2) if a.equivalence_margin else None
-    known = predict_precision(plan, sd, ball_sd, min(plan.design.blocks, _REFERENCE))
+    known = predict_precision(plan, sd, ball_sd, _REFERENCE)
     if known is None:
         return None, None
     alpha = alpha_at_end(plan)
     balls = plan.ball_handling.samples if plan.design.compare == "ball" else 1
 
     @cache
-    def foreseen(shots: int, units: int) -> tuple[float, float]:
-        """Return standard error and degrees of freedom, laid out as planned or scaled from there."""
+    def foreseen(shots: int, units: int) -> tuple[float, float, float] | None:
+        """Return standard error, degrees of freedom and level of a pair, as planned or scaled from there."""
         if plan.split or shots > _REFERENCE or units != (min(shots, balls) if balls > 1 else shots):
-            return _scaled(known, shots, units)
+            return *_scaled(known, shots, units), known.single
         laid_out = predict_precision(plan, sd, ball_sd, shots)
-        return (known.error, 0.0) if laid_out is None else (laid_out.error, laid_out.dof)
+        return laid_out and (laid_out.error, laid_out.dof, laid_out.single)
 
     def found(shots: int, units: int) -> float:
-        error, dof = foreseen(shots, units)
-        return power_of_shift(a.target_difference / error, dof, known.single) if dof else 0.0
+        if (precision := foreseen(shots, units)) is None:
+            return 0.0
+        error, dof, single = precision
+        return power_of_shift(a.target_difference / error, dof, single)
 
     def same(shots: int, units: int) -> float:
-        error, dof = foreseen(shots, units)
-        return same_power_of_error(a.equivalence_margin, error, dof, alpha / known.pairs) if dof else 0.0
+        if (precision := foreseen(shots, units)) is None:
+            return 0.0
+        error, dof, _ = precision
+        return same_power_of_error(a.equivalence_margin, error, dof, alpha / known.pairs)
 
     return _series(plan, found), _series(plan, same) if a.equivalence_margin else None
 

@@ -185,6 +185,18 @@ def test_series_needed_large_ball_scatter_requires_more_balls() -> None:
     assert many.shots == 8 * many.balls
 
 
+@pytest.mark.parametrize("blocks", [3, 12])
+def test_series_needed_three_levels_is_fewest_blocks_laid_out(blocks: int) -> None:
+    plan = _case("10 levels, 12 balls").plan
+    design = replace(plan.design, balls=plan.design.balls[:3], blocks=blocks)
+    plan = replace(plan, design=design, analysis=replace(plan.analysis, target_difference=3.0))
+    needed, _ = series_needed(plan, 2.0, 1.0)
+    assert needed is not None
+    chances = [predict_precision(plan, 2.0, 1.0, needed.shots + more) for more in (-1, 0)]
+    before, at = (found.power(3.0) for found in chances if found is not None)
+    assert before < plan.analysis.power <= at
+
+
 def test_predict_precision_uses_ball_degrees_of_freedom() -> None:
     plan = _case("2 levels, 12 balls").plan
     ahead = predict_precision(plan, 2.0, 1.0)
