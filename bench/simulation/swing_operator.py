@@ -95,9 +95,12 @@ class SwingOperator(Generic[AnyStepper]):
     # Records -------------------------------------------------------------------------------------------
 
     def begin_record(self, keep: float = 0.0) -> None:
-        """Drop the records kept so far, up to those of the last `keep` s."""
-        ticks = round(keep / self.period)
-        self._kept = [self.record()[-ticks:]] if ticks and self._kept else []
+        """Drop the records kept so far, up to those of the last `keep` s or somewhat more; copies none."""
+        left, first = round(keep / self.period), len(self._kept)
+        while first and left > 0:
+            first -= 1
+            left -= len(self._kept[first])
+        self._kept = self._kept[first:]
 
     @property
     def latest(self) -> Cycles:

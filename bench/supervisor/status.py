@@ -71,7 +71,8 @@ def stall_note(
     least = period if cause in _JUMPS else encoder_timeout / 2
     age = last["encoder_age"]
     older = age - np.fmin.reduce(age, axis=0)
-    late = np.all(lost | (older >= least - _ROUNDING) | (age >= least + period), axis=1)
+    old = (age >= least + period) & (cause in _ENCODERS)
+    late = np.all(lost | old | (older >= least - _ROUNDING), axis=1)
     gap = float(last["measured_step"][-_JUST if cause in _JUMPS else 0 :].max())
     if gap - period >= least:
         when = "while homing" if homing else "just before"

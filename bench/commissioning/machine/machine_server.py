@@ -119,6 +119,7 @@ class LiveSeries:
 
         Raises:
             ReturnFailed: the robot does not come back to its address.
+            Stalled: stalls of the computer ended each try to arm it again.
             Refused: no ball comes, it was stopped, or the machine stays busy.
         """
         found = ""
@@ -128,6 +129,8 @@ class LiveSeries:
             made = SeriesSwing(cycles, None, float("nan"), Cause.NONE, float("nan"), settled)
             try:
                 cause, stall = self._come_back()
+            except Stalled:
+                raise
             except Refused as refused:
                 raise return_failed(refused, made._replace(cause=self._operator.cause)) from None
             if not stall and (whole or cause):
