@@ -36,6 +36,9 @@ from sim.tee import find_contact, strike_ball
 
 Array = NDArray[np.float64]
 
+ACTUATOR_KEYS = ("shoulder", "right_arm", "wrist")
+"""Fields of the three actuators in PlantParameters, in the order of drivers.base.ACTUATORS."""
+
 ZeroCount = Annotated[float, Range(-(2.0**24), 2.0**24, "counts")]
 Sign = Annotated[int, Range(-1, 1, "")]
 

@@ -58,6 +58,11 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
         yield stream
 
 
+def nearest_entry(path: Path) -> Path:
+    """Return `path` or the nearest entry above it, also a link that leads nowhere."""
+    return next(above for above in (path.absolute(), *path.absolute().parents) if os.path.lexists(above))
+
+
 def _sync_folder(folder: Path) -> None:
     """Make the rename itself durable; Windows opens no folder."""
     if not hasattr(os, "O_DIRECTORY"):

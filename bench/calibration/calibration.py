@@ -24,7 +24,7 @@ from bench.records.telemetry.encoder_preset import CalibratedShifts
 from bench.records.telemetry.ring import RingReader
 from drivers.base import JOINTS, Triple
 from drivers.base.ranges import Range
-from sim.plant import Sign, ZeroCount
+from sim.plant import ACTUATOR_KEYS, Sign, ZeroCount
 from sim.robot import Club
 
 Coordinate = Annotated[float, Range(-3.0, 3.0, "m")]
@@ -487,11 +487,16 @@ def replaced_values(calibration: Calibration, configuration: Configuration) -> t
     return tuple(ReplacedValues(entry, values) for entry, values in changed if values)
 
 
+def precedes_commissioning(entry: Entry, configuration: Configuration) -> bool:
+    """Return whether the robot of `configuration` was commissioned after `entry`."""
+    return configuration.commissioned is not None and entry.date < configuration.commissioned
+
+
 def outdated(replaced: ReplacedValues, configuration: Configuration) -> Refused | None:
     """Return the fault of a calibration that replaces values commissioned later; None if it does not."""
     entry, commissioned = replaced.entry, configuration.commissioned
     measured = entry.kind in (CalibrationKind.ENCODERS, CalibrationKind.VALVES)
-    if commissioned is None or entry.date >= commissioned or not measured:
+    if not (measured and precedes_commissioning(entry, configuration)):
         return None
     return Refused(
         entry.name,
@@ -564,7 +569,7 @@ def _with_valves(c: Configuration, valves: ValveCentres) -> Configuration:
                 getattr(c.plant, name).valve, centre=valves.centre[i], dead_band=valves.dead_band[i]
             ),
         )
-        for i, name in enumerate(("shoulder", "right_arm", "wrist"))
+        for i, name in enumerate(ACTUATOR_KEYS)
     }
     return replace(c, plant=replace(c.plant, **actuators))
 
@@ -617,9 +622,8 @@ def _require_club(location: str, key: str, values: ClubInMount, club: Club) -> N
 
 def _require_valves(location: str, values: ValveCentres, c: Configuration) -> None:
     """Check centres and overlaps against those of valves that are right, and the commissioned ones."""
-    keys = ("shoulder", "right_arm", "wrist")
     for name, most in (("centre", MAX_CENTRE), ("dead_band", MAX_BAND)):
-        for key, joint, value in zip(keys, JOINTS, getattr(values, name), strict=True):
+        for key, joint, value in zip(ACTUATOR_KEYS, JOINTS, getattr(values, name), strict=True):
             path, words = f"{key}.valve.{name}", name.replace("_", " ")
             before = getattr(getattr(c.plant, key).valve, name)
             if abs(value) > most:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypedDict, TypeVar, get_type_hints
 
 import numpy as np
 
-from bench.base.atomic_file import NotStored, atomic_file
+from bench.base.atomic_file import NotStored, atomic_file, nearest_entry
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import read_text
 from bench.base.json_schema import require_fit
@@ -181,7 +181,7 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
         if path.exists():
             action = "Continue it with --resume, or name another folder."
             raise BenchError(str(path), "an existing commissioning", "an empty folder", action)
-        above = next(one for one in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(one))
+        above = nearest_entry(folder)
         if not above.is_dir():
             raise NotStored(str(above), "no folder", "a folder", "Name another one with --output.")
         state = Commissioning(folder, digest, file, simulated)

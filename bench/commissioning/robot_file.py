@@ -13,10 +13,10 @@ import jinja2
 
 from bench.base.to_toml import toml_value
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning, with_digest
-from bench.commissioning.machine.step import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.step import ParameterEstimate, RobotEstimate
 from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 GUESSES = (
     "lengths",

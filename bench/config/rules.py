@@ -25,6 +25,7 @@ from bench.control.settings import (
 )
 from drivers.base.ranges import short
 from sim.faults import MAX_DELAY
+from sim.plant import ACTUATOR_KEYS
 from sim.sensors import HISTORY
 
 MAX_SUBSTEP = 0.00025
@@ -95,7 +96,7 @@ def _phases(given: Any, default: Any, section: str, table: str, optional: Set[st
 
 
 def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
-    for name in ("shoulder", "right_arm", "wrist"):
+    for name in ACTUATOR_KEYS:
         actuator, key = getattr(c.plant, name), f"plant.{name}"
         if not actuator.lower < actuator.upper:
             found = f"{short(actuator.lower)}, with upper {short(actuator.upper)}"

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 Values = Mapping[str, Any]
 """Values by their dotted names in files of limits: numbers, texts, truth values, lists of numbers."""
@@ -59,8 +59,8 @@ TOLERANCES: Values = {
     "encoders.latency": 1e-4,
     "encoders.noise": 1e-5,
     "encoders.jitter": 2e-6,
-    **{f"{joint}.valve.centre": 0.005 for joint in ("shoulder", "right_arm", "wrist")},
-    **{f"{joint}.valve.dead_band": 0.002 for joint in ("shoulder", "right_arm", "wrist")},
+    **{f"{joint}.valve.centre": 0.005 for joint in ACTUATOR_KEYS},
+    **{f"{joint}.valve.dead_band": 0.002 for joint in ACTUATOR_KEYS},
 }
 """Min relevant difference of a value of the plant, where a share says nothing (m, rad, s, openings)."""
 

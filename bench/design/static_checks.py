@@ -20,7 +20,7 @@ from bench.swing.motion import Motion
 from bench.swing.profile import BALL_TOLERANCE, PHASES, Profile
 from drivers.base import JOINTS
 from sim.kinematics import forward_kinematics, joint_positions
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 from sim.pneumatics import Actuator
 
 PRESSURE_TOLERANCE = 0.01
@@ -40,7 +40,6 @@ the tables are rounded, and differentiated here."""
 _PARTS = 10
 """Parts of the time between two samples where cushions are checked."""
 
-_KEYS = ("shoulder", "right_arm", "wrist")
 _POSITION, _SPEED, _FORCE = ("rad", "m", "rad"), ("rad/s", "m/s", "rad/s"), ("N m", "N", "N")
 
 
@@ -238,12 +237,13 @@ def _range(plan: MachineSwing) -> Check:
         if beyond[k] > share * stop.travel:
             low, high = actuator.lower - share * stop.travel, actuator.upper + share * stop.travel
             found = f"{position[k]:.4f} {unit}: the swing hits an end stop"
-            wanted = f"{low:.4f} to {high:.4f} {unit}, plant.{_KEYS[i]} with {share:.0%} of its cushions"
+            key = ACTUATOR_KEYS[i]
+            wanted = f"{low:.4f} to {high:.4f} {unit}, plant.{key} with {share:.0%} of its cushions"
             action = "Choose a profile made for these stops, or correct the range."
             faults.append(plan.row(("angle_rad", k, i), found, wanted, action))
         elif energy > stop.rating:
             found, wanted = f"{energy:.0f} J into an end stop", f"at most {stop.rating:g} J"
-            action = f"Arrive more slowly; plant.{_KEYS[i]}.stop has the cushion's rating."
+            action = f"Arrive more slowly; plant.{ACTUATOR_KEYS[i]}.stop has the cushion's rating."
             faults.append(plan.row(("angle_rad", k, i), found, wanted, action))
         texts.append(f"{energy:.0f}")
         ratings.append(f"{stop.rating:g}")
@@ -376,7 +376,7 @@ def _air(plan: MachineSwing) -> Check:
                 f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, the limit of "
                 f"{actuator.valve.conductance:g} m3/(s Pa) of the valve at {plant.supply.pressure:g} Pa"
             )
-            action = f"Slow the swing, or fit a larger valve or actuator: plant.{_KEYS[i]}."
+            action = f"Slow the swing, or fit a larger valve or actuator: plant.{ACTUATOR_KEYS[i]}."
             faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, action))
         lever = plant.wrist_lever if i == 2 else 1.0
         shares.append(np.abs(plan.motion.speed[:, i]).max() * lever / steady_speed(actuator, plant.supply))

@@ -30,7 +30,7 @@ from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Bench, Series, quiet
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 from sim.robot import Club
 
 Array = NDArray[np.float64]
@@ -255,7 +255,7 @@ def _errors(bench: Bench, values: Array, seen: Array) -> Array:
 _WRITTEN = (
     *(
         f"{actuator}.{key}"
-        for actuator in ("shoulder", "right_arm", "wrist")
+        for actuator in ACTUATOR_KEYS
         for key in ("area_a", "area_b", "dead_volume", "valve.conductance")
         + ("friction.viscous", "friction.coulomb", "friction.static")
     ),

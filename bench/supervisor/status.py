@@ -63,17 +63,17 @@ def stall_note(
     if not (homing or cause in _ENCODERS + _JUMPS):
         return ""
     last = cycles[cycles["phase"] == Phase.HOMING] if homing else cycles[-BEFORE:]
-    recent = len(last) if homing else _JUST if cause in _JUMPS else 2
     if not len(last):
         return ""
     lost, jump = last["encoder_valid"] == 0, homing or cause in _JUMPS
+    span = _JUST if cause in _JUMPS else len(last)
     # A moving joint is elsewhere after a single missed tick; contacts with the stops are found more slowly.
     least = period if cause in _JUMPS else encoder_timeout / 2
     age = last["encoder_age"]
     older = age - np.fmin.reduce(age, axis=0)
     old = (age >= least + period) & (cause in _ENCODERS)
     late = np.all(lost | old | (older >= least - _ROUNDING), axis=1)
-    gap = float(last["measured_step"][-_JUST if cause in _JUMPS else 0 :].max())
+    gap = float(last["measured_step"][-span:].max())
     if gap - period >= least:
         when = "while homing" if homing else "just before"
         return (
@@ -82,7 +82,7 @@ def stall_note(
         )
     if fault and not jump:
         return fault
-    if late[-recent:].any():
+    if late[-span if jump else -2 :].any():
         return (
             f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with "
             "simulated nodes their process stood still, a stall of this machine; driver "

@@ -333,7 +333,7 @@ def _scaled(known: PredictedPrecision, shots: int, units: int) -> tuple[float, f
     def plain(n: int, balls: int) -> float:
         return 2 * (between / balls + known.sd**2 / n)
 
-    # Scaled from the plan; degrees of freedom are nearly proportional to the units less one.
+    # Degrees of freedom are nearly proportional to the units less one.
     reference = known.shots
     error = known.error * sqrt(plain(shots, units) / plain(reference, known.units))
     return error, max(known.dof / max(known.units - 1, 1) * (units - 1), 1e-3)

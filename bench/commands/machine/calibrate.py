@@ -102,7 +102,7 @@ def encoders(
 ) -> None:
     """Set the encoder zeros: counts at angle zero, or the pose in which the robot is locked now."""
     from bench.calibration.archive import calibration_of
-    from bench.calibration.calibration import CalibrationKind, EncoderZeros
+    from bench.calibration.calibration import CalibrationKind, EncoderZeros, precedes_commissioning
     from bench.calibration.calibration import zero_counts as zeros_at
 
     location = "calibrate encoders"
@@ -110,10 +110,9 @@ def encoders(
     here = configuration.plant.encoders
     # Not by `apply`: the calibration in force may belong to other encoders.
     entry = calibration_of(configuration, datetime.now(UTC)).of(CalibrationKind.ENCODERS)
-    commissioned = configuration.commissioned
     known: EncoderZeros | Encoders = here
-    if entry is not None and isinstance(entry.values, EncoderZeros):
-        known = here if commissioned is not None and entry.date < commissioned else entry.values
+    if entry is not None and not precedes_commissioning(entry, configuration):
+        known = entry.values if isinstance(entry.values, EncoderZeros) else here
     sign = sign or known.sign
     content: dict[str, Any] = {
         "sign": sign,

@@ -28,6 +28,7 @@ from packaging.requirements import Requirement
 from rich.console import Group
 from rich.text import Text
 
+from bench.base.atomic_file import nearest_entry
 from bench.commands.common.output import plain_table
 from bench.supervisor.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK
 
@@ -210,7 +211,7 @@ def memory() -> ItemResult:
 
 def data_folder(data_dir: Path) -> ItemResult:
     """Look whether records can be stored in `data_dir`, which need not exist yet."""
-    existing = _existing(data_dir)
+    existing = nearest_entry(data_dir)
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         advice = f"make {existing.absolute()} a folder you may write to, or set data_dir elsewhere"
         return missing(f"{data_dir.absolute()}: not writable", advice)
@@ -258,7 +259,7 @@ def compiled_code() -> ItemResult:
     """Look whether compiled code can be kept, and whether it already is."""
     found = json.loads(_child("cache"))
     folder, functions = Path(found["folder"]), found["functions"]
-    if not os.access(_existing(folder), os.W_OK | os.X_OK):
+    if not os.access(nearest_entry(folder), os.W_OK | os.X_OK):
         return limited(
             f"{folder} is not writable", "every start recompiles: set NUMBA_CACHE_DIR to a writable folder"
         )
@@ -437,8 +438,3 @@ def small_text(path: str | Path) -> str:
         return Path(path).read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
-
-
-def _existing(path: Path) -> Path:
-    """Return `path` or the nearest entry above it, also a link that leads nowhere."""
-    return next(above for above in (path.absolute(), *path.absolute().parents) if os.path.lexists(above))

@@ -21,13 +21,11 @@ from sim.driver import joint_travel
 from sim.faults import Fault
 from sim.impact import Delivery
 from sim.kane import mass_matrix
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 Side = Literal["lower", "upper"]
 SIDES: tuple[Side, Side] = ("upper", "lower")
 
-ACTUATOR_KEYS = ("shoulder", "right_arm", "wrist")
-"""Tables of the three actuators in the configuration, in the order of ACTUATORS."""
 FOLD_ORDER = (2, 1, 0)
 """Joints in the order in which they go to their lower stops: first the club is folded off the ground."""
 MOVING = 3.0e5

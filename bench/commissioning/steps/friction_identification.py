@@ -20,7 +20,6 @@ from scipy.signal import savgol_filter
 
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from bench.commissioning.machine.step import (
-    ACTUATOR_KEYS,
     FOLD_ORDER,
     PRESSING,
     SIDES,
@@ -47,7 +46,7 @@ from bench.control.measured_plant import value_at, with_values
 from drivers.base import JOINTS
 from sim.driver import joint_travel
 from sim.kane import bias_forces, inverse_dynamics
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 _BODIES = ("shoulder_link", "left_arm", "rod", "cylinder")
 _OPENINGS = (0.05, 0.08, 0.12)

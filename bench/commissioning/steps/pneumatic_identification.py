@@ -23,7 +23,6 @@ from scipy.optimize import least_squares
 
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from bench.commissioning.machine.step import (
-    ACTUATOR_KEYS,
     MOVING,
     CommissioningStep,
     MachineFault,
@@ -42,7 +41,7 @@ from drivers.base import JOINTS
 from drivers.base.compiled import compiled
 from sim.driver import joint_travel
 from sim.kinematics import right_arm_length
-from sim.plant import PlantParameters, build_plant
+from sim.plant import ACTUATOR_KEYS, PlantParameters, build_plant
 from sim.pneumatics import flow
 
 NAMES = (

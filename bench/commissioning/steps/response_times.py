@@ -25,7 +25,6 @@ from bench.commissioning.machine.machine import (
     at_rows,
 )
 from bench.commissioning.machine.step import (
-    ACTUATOR_KEYS,
     FOLD_ORDER,
     MOVING,
     PRESSING,
@@ -53,6 +52,7 @@ from bench.commissioning.steps.pneumatic_identification import (
 from bench.control.measured_plant import with_values
 from drivers.base import JOINTS
 from sim.driver import joint_travel
+from sim.plant import ACTUATOR_KEYS
 
 _STEP, _PUSH = 0.15, 0.08
 """Valve commands beyond the dead band: step of a spool, push before a joint coasts."""

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from bench.calibration.calibration import MAX_BAND, MAX_CENTRE, zero_counts
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
 from bench.commissioning.machine.step import (
-    ACTUATOR_KEYS,
     FOLD_ORDER,
     MOVING,
     SIDES,
@@ -49,7 +48,7 @@ from bench.commissioning.steps.pneumatic_identification import NAMES, fit_air, w
 from drivers.base import CHAMBERS, JOINTS, Triple
 from sim.driver import joint_travel
 from sim.kane import bias_forces
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 FAINT = 1.3e5
 """Supply of the ramps, Pa absolute."""

@@ -12,12 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.step import ACTUATOR_KEYS
 from bench.commissioning.swings.short_predictions import RecordedSwing
 from bench.control.measured_plant import value_at, with_values
 from drivers.base import CHAMBERS, JOINTS
 from drivers.base.compiled import compiled
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 Changed = Callable[[RecordedSwing, PlantParameters, float], Array]
 """Returns the errors of the windows with the cause at a value."""

@@ -20,14 +20,13 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.calibration.calibration import VALVE_MOVED
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.step import ACTUATOR_KEYS
 from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
 from bench.control.measured_plant import value_at, with_values
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
 from bench.records.telemetry.recorder import read_swing
 from bench.simulation.replay import FEW, growth_of, settings_of
 from drivers.base import CHAMBERS, JOINTS
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 _STEP = 0.3
 """Step of a finite difference, as a share of the prior standard deviation."""

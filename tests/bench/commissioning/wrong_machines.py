@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.commissioning.machine.step import ACTUATOR_KEYS, ParameterEstimate
+from bench.commissioning.machine.step import ParameterEstimate
 from bench.commissioning.swings.swing_diagnosis import Diagnosis
 from bench.control.measured_plant import value_at, with_values
 from sim.faults import Fault
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 _ERRORS = {
     "area_a": 0.022,

@@ -8,7 +8,7 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import Pipe
@@ -71,6 +71,22 @@ class WatchedDriver(PacedPlantDriver):
     def make_passive(self) -> None:
         self.commands.append(PASSIVE)
         super().make_passive()
+
+
+def lose_encoders(
+    driver: WatchedDriver, monkeypatch: pytest.MonkeyPatch, lost: Callable[[int], bool], first: int = 0
+) -> list[int]:
+    """Make all encoders invalid in the reads that are `lost`; return their number, from `first`."""
+    original, reads = driver.read_record, [first]
+
+    def read(at: float, record: np.ndarray) -> None:
+        original(at, record)
+        reads[0] += 1
+        if lost(reads[0]):
+            record["encoder_valid"] = 0
+
+    monkeypatch.setattr(driver, "read_record", read)
+    return reads
 
 
 @pytest.fixture
@@ -308,15 +324,7 @@ def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """All encoders at once are lost when a machine stands still, not when a cable breaks."""
-    original, reads = driver.read_record, [-(10**9)]
-
-    def read(at: float, record: np.ndarray) -> None:
-        original(at, record)
-        reads[0] += 1
-        if 300 <= reads[0] < 360:
-            record["encoder_valid"] = 0
-
-    monkeypatch.setattr(driver, "read_record", read)
+    reads = lose_encoders(driver, monkeypatch, lambda read: 300 <= read < 360, first=-(10**9))
     server.obey("arm", bench_of(configuration, slow))
     start = SwingOperator.start_swing
 
@@ -379,14 +387,7 @@ def test_machine_server_stalls_at_address_repeat_up_to_limit(
     stalls: int,
     ends: bool,
 ) -> None:
-    original, left, reads = driver.read_record, [stalls], [99]
-
-    def read(at: float, record: np.ndarray) -> None:
-        original(at, record)
-        reads[0] += 1
-        if reads[0] < 60:
-            record["encoder_valid"] = 0
-
+    left, reads = [stalls], lose_encoders(driver, monkeypatch, lambda read: read < 60, first=99)
     start = SwingOperator.start_swing
 
     def stalled(self: SwingOperator[Any], *given: int) -> bool:
@@ -395,7 +396,6 @@ def test_machine_server_stalls_at_address_repeat_up_to_limit(
             self.advance(80)
         return start(self, *given)
 
-    monkeypatch.setattr(driver, "read_record", read)
     monkeypatch.setattr(SwingOperator, "start_swing", stalled)
     monkeypatch.setattr("bench.commissioning.machine.machine_server._REPEATED", ADDRESS_TRIES + 2)
     server.obey("arm", bench_of(configuration, slow))
@@ -417,15 +417,7 @@ def test_machine_server_stall_in_each_arming_ends_named_as_stall(
     said: list[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    original, reads = driver.read_record, [0]
-
-    def read(at: float, record: np.ndarray) -> None:
-        original(at, record)
-        reads[0] += 1
-        if reads[0] % 4000 > 3900:
-            record["encoder_valid"] = 0
-
-    monkeypatch.setattr(driver, "read_record", read)
+    lose_encoders(driver, monkeypatch, lambda read: read % 4000 > 3900)
     monkeypatch.setattr("bench.commissioning.machine.machine_server._REPEATED", 3)
     with pytest.raises(Stalled, match=r"arming, 3 times: .* all three encoders were lost at once"):
         server.obey("arm", bench_of(configuration, slow))
