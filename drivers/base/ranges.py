@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import dataclass
 from functools import cache
 from math import isfinite
-from typing import Annotated, Any, NamedTuple, cast, get_origin, get_type_hints
+from typing import Annotated, Any, cast, get_origin, get_type_hints
 
 
-class Range(NamedTuple):
+@dataclass(frozen=True)
+class Range:
     """Closed interval that a quantity can physically lie in, with its unit for the message."""
 
     low: float
@@ -19,25 +21,29 @@ class Range(NamedTuple):
         return f"{short(self.low)} to {short(self.high)} {self.unit}".rstrip()
 
 
-class AtLeast(NamedTuple):
+@dataclass(frozen=True)
+class AtLeast:
     """Smallest valid value."""
 
     bound: float
 
 
-class Above(NamedTuple):
+@dataclass(frozen=True)
+class Above:
     """Value that all valid ones exceed."""
 
     bound: float
 
 
-class AtMost(NamedTuple):
+@dataclass(frozen=True)
+class AtMost:
     """Largest valid value."""
 
     bound: float
 
 
-class Count(NamedTuple):
+@dataclass(frozen=True)
+class Count:
     """Number of entries of a list."""
 
     entries: int
