@@ -366,7 +366,10 @@ CAUSE_WORDS: dict[Cause, Words] = {
         "calibrate",
     ),
     Cause.NOT_VENTED: ("the chambers did not empty in time", "do not approach: check vents and valves"),
-    Cause.DEVICE_PASSIVE: ("the device went passive after a time-out of its commands", "reset"),
+    Cause.DEVICE_PASSIVE: (
+        "the device went passive after a time-out of its commands",
+        "read its fault in golfbench status, then reset",
+    ),
     **_each_joint(
         Cause.SHOULDER_AIR,
         "{joint}'s chamber pressures do not follow the valve command",
