@@ -14,7 +14,7 @@ from numba import carray
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.base import PASSIVE, Command, DriverError, Readings, check_open, device_limited, invalid_time
-from drivers.base.compiled import compiled, new_record, numbers
+from drivers.base.compiled import compiled, fields, new_record, numbers
 from drivers.base.native import compiled_call, copy_bytes, limit_command, pointer
 from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL, NativeCall, NativeCalls
 from drivers.base.records import COMMAND, READINGS, TRUTH, pack_command, unpack_command, unpack_readings
@@ -49,13 +49,8 @@ _NEAR = 1e-6
 
 _PROGRESS = np.dtype(
     [
-        ("is_open", "i8"),
-        ("has_begun", "i8"),
-        ("ticks", "i8"),
-        ("written", "i8"),
-        ("period", "f8"),
-        ("first", "f8"),
-        ("offset", "f8"),
+        *fields("i8", "is_open has_begun ticks written"),
+        *fields("f8", "period first offset"),
     ]
 )
 """Progress of a SimDriver: `ticks` since the first reading after opening, which was at `first` (s of the

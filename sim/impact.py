@@ -37,7 +37,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from drivers.base import Launch
-from drivers.base.compiled import compiled, fields, new_record
+from drivers.base.compiled import compiled, copy_fields, fields, new_record
 from sim.ball import Ball
 from sim.contact import contact_impulse
 from sim.robot import Club
@@ -80,32 +80,25 @@ def impact_parameters(club: Club, ball: Ball, lie: float) -> Array:
     club's times the ball's, restitution at most 1.
     """
     record = new_record(IMPACT)
+    copy_fields(record, club, "loft face_angle head_mass head_depth bulge_radius roll_radius tee_shift")
+    copy_fields(record, club, "tangential_factor tangential_stiffness tangential_loss")
     for name, value in {
         "plane_lie": lie,
         "club_lie": club.lie,
-        "loft": club.loft,
-        "face_angle": club.face_angle,
-        "head_mass": club.head_mass,
         "head_inertia_n": club.head_inertia_vertical,
         "head_inertia_h": club.head_inertia_horizontal,
         "head_inertia_t": club.head_inertia_vertical,
-        "head_depth": club.head_depth,
-        "bulge_radius": club.bulge_radius,
-        "roll_radius": club.roll_radius,
         "restitution": min(1.0, club.restitution * ball.restitution_factor),
         "restitution_slope": club.restitution_slope * ball.restitution_factor,
-        "tangential_factor": club.tangential_factor,
-        "tangential_stiffness": club.tangential_stiffness,
-        "tangential_loss": club.tangential_loss,
         "ball_mass": ball.mass,
         "ball_radius": ball.radius,
         "ball_inertia": ball.inertia,
         "friction": ball.friction * club.friction_factor,
-        "tee_shift": club.tee_shift,
     }.items():
-        if not isfinite(value):
-            raise ValueError(f"impact: {name} of club {club.name!r} or ball {ball.name!r}: found {value!r}")
         record[name] = value
+    for name in IMPACT.names or ():
+        if not isfinite(found := float(record[name][0])):
+            raise ValueError(f"impact: {name} of club {club.name!r} or ball {ball.name!r}: found {found!r}")
     return record
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.base.compiled import compiled, fields, new_record
+from drivers.base.compiled import compiled, copy_fields, fields, new_record
 from drivers.base.ranges import Range
 from sim.ball import Ball
 from sim.dynamics import (
@@ -303,97 +303,68 @@ def build_plant(parameters: PlantParameters) -> Plant:
             f"latency plus six times jitter up to {remembered:g} s; lower them, or raise tick / substeps"
         )
     record = new_record(PLANT_PARAMETERS)
-    half_step = parameters.tick / parameters.substeps / 2
-    for i, actuator in enumerate(parameters.actuators):
-        for name, value in _actuator_values(actuator, half_step).items():
-            record[name][0, i] = value
-    for name in ("volume_lower", "volume_upper"):
-        record[name][0, 2] = parameters.wrist_stroke(record[name][0, 2])
-    record["encoder_scale"] = np.array(encoders.sign) * (encoders.counts_per_revolution / (2 * pi))
-    record["encoder_zero"] = encoders.zero_count
-    for name, value in _shared_values(parameters).items():
-        record[name] = value
+    _fill_actuators(record, parameters)
+    _fill_shared(record, parameters)
     club, robot = parameters.robot.club, parameters.robot
     if parameters.shaft.flexible:  # the head's mass is on the shaft, not in body C
         robot = replace(robot, club=replace(club, head_mass=1e-9))
     return Plant(parameters, robot.record, record, impact_parameters(club, parameters.ball, robot.lie))
 
 
-def _actuator_values(actuator: Actuator, half_step: float) -> dict[str, Any]:
-    """Return the fields of PLANT_PARAMETERS of one actuator; `half_step` is half a substep (s)."""
-    friction, stop, valve = actuator.friction, actuator.stop, actuator.valve
-    return {
-        "area_a": actuator.area_a,
-        "area_b": actuator.area_b,
-        "dead_volume": actuator.dead_volume,
-        "lower": actuator.lower,
-        "upper": actuator.upper,
-        "volume_lower": actuator.chamber_ends[0],
-        "volume_upper": actuator.chamber_ends[1],
-        "viscous": friction.viscous,
-        "coulomb": friction.coulomb,
-        "static": friction.static,
-        "stribeck_speed": friction.stribeck_speed,
-        "stop_stiffness": stop.stiffness,
-        "stop_travel": stop.travel,
-        "stop_damping_speed": stop.damping_speed,
-        "conductance": valve.conductance,
-        "critical_ratio": valve.critical_ratio,
-        "dead_band": valve.dead_band,
-        "leakage": valve.leakage,
-        "centre": valve.centre,
-        "cross_leakage": actuator.cross_leakage,
-        "spool": valve.half_step_matrix(half_step).ravel(),
-    }
+def _fill_actuators(record: np.ndarray, parameters: PlantParameters) -> None:
+    """Set the fields of PLANT_PARAMETERS by actuator."""
+    half_step = parameters.tick / parameters.substeps / 2
+    for i, actuator in enumerate(parameters.actuators):
+        for source, prefix, names in (
+            (actuator, "", "area_a area_b dead_volume lower upper cross_leakage"),
+            (actuator.friction, "", "viscous coulomb static stribeck_speed"),
+            (actuator.stop, "stop_", "stiffness travel damping_speed"),
+            (actuator.valve, "", "conductance critical_ratio dead_band leakage centre"),
+        ):
+            for name in names.split():
+                record[prefix + name][0, i] = getattr(source, name)
+        record["volume_lower"][0, i], record["volume_upper"][0, i] = actuator.chamber_ends
+        record["spool"][0, i] = actuator.valve.half_step_matrix(half_step).ravel()
+    for name in ("volume_lower", "volume_upper"):
+        record[name][0, 2] = parameters.wrist_stroke(record[name][0, 2])
 
 
-def _shared_values(parameters: PlantParameters) -> dict[str, Any]:
-    """Return the fields of PLANT_PARAMETERS that belong to no single actuator."""
+def _fill_shared(record: np.ndarray, parameters: PlantParameters) -> None:
+    """Set the fields of PLANT_PARAMETERS that belong to no single actuator."""
     encoders, supply, site = parameters.encoders, parameters.supply, parameters.site
     shaft, club = parameters.shaft, parameters.robot.club
     omega, surface = 2 * pi * shaft.frequency, SURFACES[site.surface]
-    return {
+    for source, names in (
+        (parameters, "pressure_sensors vent_feedback shut_off_feedback spool_feedback tick substeps"),
+        (encoders, "incremental latency jitter noise"),
+        (supply, "feed_conductance dump_conductance soft_start_time atmosphere"),
+        (supply, "vent_conductance vent_delay shut_off_delay"),
+        (site, "ground ground_stiffness sole_depth ball_x ball_y"),
+    ):
+        copy_fields(record, source, names)
+    for name, value in {
         "lever_cos": parameters.wrist_lever * cos(parameters.wrist_lever_angle),
         "lever_sin": parameters.wrist_lever * sin(parameters.wrist_lever_angle),
         "regulated": supply.pressure,
-        "feed_conductance": supply.feed_conductance,
         "manifold": supply.volume,
-        "dump_conductance": supply.dump_conductance,
         "relief_pressure": (*6 * (supply.relief_pressure,), supply.manifold_relief_pressure),
         "relief_conductance": (*6 * (supply.relief_conductance,), supply.manifold_relief_conductance),
-        "soft_start_time": supply.soft_start_time,
-        "vent_conductance": supply.vent_conductance,
-        "vent_delay": supply.vent_delay,
-        "shut_off_delay": supply.shut_off_delay,
         "exhaust": 1.0,
-        "atmosphere": supply.atmosphere,
         "exponent": supply.polytropic_exponent,
+        "encoder_scale": np.array(encoders.sign) * (encoders.counts_per_revolution / (2 * pi)),
+        "encoder_zero": encoders.zero_count,
         "encoder_counts": encoders.counts_per_revolution,
-        "incremental": encoders.incremental,
-        "latency": encoders.latency,
-        "jitter": encoders.jitter,
-        "noise": encoders.noise,
-        "pressure_sensors": parameters.pressure_sensors,
-        "vent_feedback": parameters.vent_feedback,
-        "shut_off_feedback": parameters.shut_off_feedback,
-        "spool_feedback": parameters.spool_feedback,
         "flexible": shaft.flexible,
         "head_mass": club.head_mass,
         "head_stiffness": club.head_mass * omega**2,
         "head_damping": 2 * shaft.damping_ratio * omega * club.head_mass,
         "head_distance": club.shaft_length,
-        "ground": site.ground,
-        "ground_stiffness": site.ground_stiffness,
         "ground_friction": surface.friction,
         "ground_strength": surface.strength * surface.width,
         "ground_density": surface.density * surface.width,
-        "sole_depth": site.sole_depth,
-        "ball_x": site.ball_x,
-        "ball_y": site.ball_y,
         "lie": parameters.robot.lie,
-        "tick": parameters.tick,
-        "substeps": parameters.substeps,
-    }
+    }.items():
+        record[name] = value
 
 
 def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from drivers.base.compiled import fields, new_record
+from drivers.base.compiled import copy_fields, fields, new_record
 from drivers.base.ranges import Range
 
 _INCH = 0.0254
@@ -206,13 +206,9 @@ class RobotParameters:
     def record(self) -> np.ndarray:
         """The parameters as a one-element `ROBOT` array for compiled code."""
         record = new_record(ROBOT)
+        copy_fields(record, self, "l12 l16 l62 l23 l56")
         values: dict[str, float] = {
-            "l12": self.l12,
-            "l16": self.l16,
-            "l62": self.l62,
-            "l23": self.l23,
             "l3t": self.club.length_to_face,
-            "l56": self.l56,
             "mass_c": self.club.mass,
             "com_c": self.club.centre_of_mass,
             "inertia_c": self.club.inertia,

@@ -13,35 +13,18 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Cause, Phase
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled, fields
 
 PHASES = len(Phase)
 
 ENVELOPE_PARAMETERS = np.dtype(
     [
-        ("lower", "f8", (3,)),
-        ("upper", "f8", (3,)),
-        ("max_speed", "f8", (3,)),
+        *fields("f8", "lower upper max_speed", (3,)),
         ("max_following_error", "f8", (PHASES, 3)),
-        ("min_deceleration", "f8", (3,)),
-        ("end_stop_max_speed", "f8", (3,)),
-        ("max_opening", "f8"),
-        ("max_slew", "f8"),
-        ("encoder_timeout", "f8"),
-        ("max_tick_interval", "f8"),
-        ("spool_tolerance", "f8"),
-        ("spool_timeout", "f8"),
-        ("min_supply_pressure", "f8"),
-        ("max_supply_pressure", "f8"),
-        ("ground", "f8"),
-        ("sole_depth", "f8"),
-        ("clearance", "f8"),
-        ("ball_x", "f8"),
-        ("ball_window", "f8"),
-        ("ball_clearance", "f8"),
-        ("min_frame_distance", "f8"),
-        ("min_lever", "f8"),
-        ("lever_angle", "f8"),
+        *fields("f8", "min_deceleration end_stop_max_speed", (3,)),
+        *fields("f8", "max_opening max_slew encoder_timeout max_tick_interval spool_tolerance"),
+        *fields("f8", "spool_timeout min_supply_pressure max_supply_pressure ground sole_depth clearance"),
+        *fields("f8", "ball_x ball_window ball_clearance min_frame_distance min_lever lever_angle"),
     ],
     align=True,
 )

@@ -34,7 +34,7 @@ from bench.control.moves.pressure_plan import dither_amplitudes, dither_duties, 
 from bench.control.step_records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
-from drivers.base.compiled import new_record
+from drivers.base.compiled import copy_fields, new_record
 from drivers.base.ranges import Above, AtLeast, AtMost
 from sim.driver import hanging_pose, joint_travel
 from sim.plant import PlantParameters, Site, build_plant
@@ -626,23 +626,9 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
     record["max_following_error"] = inf
     for name, errors in settings.max_following_error.items():
         record["max_following_error"][0, _FOLLOWED[name]] = errors
-    for name in (
-        "max_speed",
-        "max_slew",
-        "max_opening",
-        "max_tick_interval",
-        "spool_tolerance",
-        "spool_timeout",
-        "min_supply_pressure",
-        "min_lever",
-        "min_deceleration",
-        "end_stop_max_speed",
-        "encoder_timeout",
-        "clearance",
-        "ball_window",
-        "min_frame_distance",
-    ):
-        record[name] = getattr(settings, name)
+    copy_fields(record, settings, "max_speed max_slew max_opening max_tick_interval min_supply_pressure")
+    copy_fields(record, settings, "min_lever min_deceleration end_stop_max_speed encoder_timeout")
+    copy_fields(record, settings, "spool_tolerance spool_timeout clearance ball_window min_frame_distance")
     # Above it the relief valve opens, and hides a regulator that fails.
     record["max_supply_pressure"] = min(settings.max_supply_pressure, plant.supply.manifold_relief_pressure)
     record["ball_clearance"] = settings.clearance_by_ball(plant.site)

@@ -12,80 +12,36 @@ from bench.control.estimate.encoder import ENCODER_STATE
 from bench.control.estimate.estimator import ESTIMATOR_STATE
 from bench.control.estimate.residual_monitor import MODEL_STATE
 from bench.control.law.pid import PID_STATE
-from drivers.base.compiled import new_record
+from drivers.base.compiled import fields, new_record
 
 CONTROL_PARAMETERS = np.dtype(
     [
-        ("downswing_damping", "f8"),
-        ("downswing_gain_factor", "f8"),
-        ("dither", "f8", (3,)),
-        ("dither_period", "f8"),
-        ("dither_delay", "f8"),
-        ("move_band", "f8", (3,)),
-        ("brake_gain", "f8", (3,)),
-        ("brake_damping", "f8", (3,)),
-        ("brake_fade_speed", "f8", (3,)),
-        ("escape_opening", "f8", (3, 3)),
-        ("escape_time", "f8", (3,)),
-        ("lift_gain", "f8"),
-        ("lift_angle", "f8"),
+        # Swing, slow moves and brake
+        *fields("f8", "downswing_damping downswing_gain_factor dither_period dither_delay"),
+        *fields("f8", "lift_gain lift_angle rest_time brake_timeout open_loop_settling_time"),
+        *fields("f8", "dither move_band force_gain rate_opening speed_opening", (3,)),
         ("feed_forward", "u1"),
-        ("force_gain", "f8", (3,)),
-        ("rate_opening", "f8", (3,)),
-        ("speed_opening", "f8", (3,)),
-        ("rest_speed", "f8", (3,)),
-        ("rest_time", "f8"),
-        ("brake_timeout", "f8"),
-        ("open_loop_settling_time", "f8"),
-        ("precharge_time", "f8"),
-        ("precharge_opening", "f8"),
-        ("precharge_period", "f8"),
-        ("move_speed", "f8", (3,)),
-        ("move_timeout", "f8"),
-        ("address_tolerance", "f8", (3,)),
-        ("address_deadband", "f8", (3,)),
-        ("impact_speed_drop", "f8"),
+        *fields("f8", "precharge_time precharge_opening precharge_period move_timeout impact_speed_drop"),
+        *fields("f8", "move_speed address_tolerance address_deadband rest_speed", (3,)),
+        *fields("f8", "brake_gain brake_damping brake_fade_speed escape_time", (3,)),
+        ("escape_opening", "f8", (3, 3)),
+        # Lifecycle
         ("reactions", "u1", (len(Phase), 6)),
         ("accepted", "u1", (len(Request), len(State))),
         ("transitions", "u1", (len(State), len(State))),
         ("needs_lease", "u1", (len(Request),)),
         ("emergencies", "u1", (len(Cause),)),
-        ("warning_time", "f8"),
-        ("armed_timeout", "f8"),
-        ("vented_pressure", "f8"),
-        ("holding_pressure", "f8"),
-        ("vent_timeout", "f8"),
-        ("rest_time_vented", "f8"),
-        ("rest_time_without_encoders", "f8"),
-        ("access_delay", "f8"),
-        ("vented_creep", "f8"),
-        ("vent_delay", "f8"),
-        ("shut_off_delay", "f8"),
-        ("lowest_pressure", "f8"),
-        ("highest_pressure", "f8"),
-        ("rest_pressure", "f8"),
-        ("pressure_tolerance", "f8"),
-        ("pressure_timeout", "f8"),
-        ("local_reset", "?"),
-        ("local_reset_time", "f8"),
-        ("hold_between_swings", "?"),
-        ("read_only", "?"),
-        ("home_by_index", "?"),
-        ("home_pose", "f8", (3,)),
-        ("home_tolerance", "f8", (3,)),
-        ("home_time", "f8"),
+        *fields("f8", "warning_time armed_timeout vented_pressure holding_pressure vent_timeout"),
+        *fields("f8", "rest_time_vented rest_time_without_encoders access_delay vented_creep"),
+        *fields("f8", "vent_delay shut_off_delay lowest_pressure highest_pressure rest_pressure"),
+        *fields("f8", "pressure_tolerance pressure_timeout local_reset_time"),
+        *fields("?", "local_reset hold_between_swings read_only"),
+        # Homing
+        *fields("?", "home_by_index home_stops"),
         ("home_order", "i8", (3,)),
-        ("home_direction", "f8", (3,)),
-        ("home_travel", "f8", (3,)),
-        ("home_speed", "f8", (3,)),
-        ("home_opening", "f8"),
-        ("home_timeout", "f8"),
-        ("home_stops", "?"),
-        ("home_stop", "f8", (3,)),
-        ("home_stop_tolerance", "f8", (3,)),
-        ("home_stop_contact_speed", "f8", (3,)),
-        ("home_stop_contact_lead", "f8", (3,)),
-        ("home_stop_contact_time", "f8"),
+        *fields("f8", "home_pose home_tolerance home_direction home_travel home_speed", (3,)),
+        *fields("f8", "home_time home_opening home_timeout home_stop_contact_time"),
+        *fields("f8", "home_stop home_stop_tolerance home_stop_contact_speed home_stop_contact_lead", (3,)),
     ],
     align=True,
 )
@@ -95,8 +51,8 @@ spools around their openings up to the top. `feed_forward` is a code of `bench.c
 dead bands of the spools in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
 
-def _nested(*fields: tuple[Any, ...]) -> np.dtype[Any]:
-    return np.dtype(list(fields), align=True)
+def _nested(*members: tuple[Any, ...]) -> np.dtype[Any]:
+    return np.dtype(list(members), align=True)
 
 
 HOMING = _nested(
@@ -228,10 +184,7 @@ CONTROL_STATE = np.dtype(
         # From outside, before a tick.
         ("request", "u1"),
         ("request_number", "i8"),
-        ("lease_held", "?"),
-        ("support_ready", "?"),
-        ("supervisor_alive", "?"),
-        ("device_operational", "?"),
+        *fields("?", "lease_held support_ready supervisor_alive device_operational"),
         ("is_warmed_up", "?"),  # STARTING is over
         ("first_cause", "i4"),  # of the ESTOP after it
         # This tick, and what its readings are worth.
@@ -245,13 +198,11 @@ CONTROL_STATE = np.dtype(
         # The answer to a request.
         ("handled_request", "u1"),
         ("answered_number", "i8"),
-        ("answer", "u1"),
-        ("refusal", "u1"),
+        *fields("u1", "answer refusal"),
         # The lifecycle.
         ("state", "u1"),
         ("state_since", "f8"),  # s
-        ("phase", "u1"),
-        ("reaction", "u1"),
+        *fields("u1", "phase reaction"),
         ("reaction_start", "f8"),  # s
         ("still_since", "f8"),  # s: when a joint last moved
         ("cause", "i4"),  # latched first
@@ -262,14 +213,8 @@ CONTROL_STATE = np.dtype(
         ("air", "?"),  # the supply is on
         ("air_from", "f8"),  # s: when it comes on, after the warning
         ("exhaust_closed", "?"),  # commanded last
-        ("swinging", "?"),
-        ("moving", "?"),
-        ("disarming", "?"),
-        ("securing", "?"),
-        (
-            "guard_was_opened",
-            "?",
-        ),  # the guard was seen open in ACCESS: a person may be inside until SECURE ends it
+        *fields("?", "swinging moving disarming securing"),
+        ("guard_was_opened", "?"),  # seen open in ACCESS: a person may be inside until SECURE ends it
         ("reset_was_low", "?"),
         ("reset_pressed", "f8"),  # s
         ("tee", "?"),
@@ -286,11 +231,7 @@ CONTROL_STATE = np.dtype(
         ("filtered_velocity", "f8", (3,)),  # rad/s by which rest is judged
         ("stopped_at", "f8"),  # s: time of the last stop request
         ("moved_at", "f8"),  # s: when a joint last did not rest
-        (
-            "turf_override",
-            "u1",
-            (3,),
-        ),  # actuators that `bench.control.moves.ground_clearance` moves even in PASSIVE
+        ("turf_override", "u1", (3,)),  # actuators that `moves.ground_clearance` moves even in PASSIVE
         ("open_loop_joints", "u1", (3,)),  # joints that BLIND_BRAKE brakes without their encoder
         ("blind_row", "i8"),  # of its patterns; -1: none
         # One record for each monitor and move.
@@ -316,14 +257,11 @@ PROFILE = np.dtype(
     [
         ("samples", "i8"),
         ("period", "f8"),
-        ("blind_spacing", "i8"),
-        ("blind_rows", "i8"),
+        *fields("i8", "blind_spacing blind_rows"),
         ("air_planned", "?"),
         ("air", "f8", (6,)),
         ("air_supply", "f8"),
-        ("dither_amplitude", "f8", (3,)),
-        ("dither_period", "f8", (3,)),
-        ("dither_duty", "f8", (3,)),
+        *fields("f8", "dither_amplitude dither_period dither_duty", (3,)),
     ],
     align=True,
 )

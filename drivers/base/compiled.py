@@ -114,6 +114,12 @@ def fields(kind: str, names: str, shape: tuple[int, ...] = ()) -> list[tuple[str
     return [(name, kind, shape) for name in names.split()]
 
 
+def copy_fields(record: np.ndarray[Any, Any], source: object, names: str) -> None:
+    """Copy attributes of `source` into the fields of `record` with their `names`, separated by blanks."""
+    for name in names.split():
+        record[name] = getattr(source, name)
+
+
 def new_record(dtype: np.dtype[Any], count: int = 1) -> np.ndarray[Any, Any]:
     """Return a zeroed array of `count` records of a structured `dtype`: one is the form functions take.
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.base.compiled import fields
 from drivers.base.records import COMMAND, READINGS, TRUTH
 from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 from sim.ball import Ball
@@ -30,8 +31,7 @@ CONTACT = np.dtype(
         ("struck", "?"),
         ("impact_time", "f8"),
         ("impact_head", "f8", (6,)),
-        ("ball_velocity", "f8", (3,)),
-        ("ball_spin", "f8", (3,)),
+        *fields("f8", "ball_velocity ball_spin", (3,)),
     ],
     align=True,
 )
@@ -40,9 +40,7 @@ CONTACT = np.dtype(
 NODE = np.dtype(
     [
         ("operational", "?"),
-        ("watchdog_trips", "i8"),
-        ("command_tick", "i8"),
-        ("passive_tick", "i8"),
+        *fields("i8", "watchdog_trips command_tick passive_tick"),
         ("applied", COMMAND),
     ],
     align=True,
@@ -58,14 +56,10 @@ PLANT_REPORT = np.dtype(
         ("contacts", "i8"),
         ("stop_energy", "f8", (3, 2)),
         ("peak_pressure", "f8", (6,)),
-        ("lowest_clearance", "f8"),
-        ("peak_head_speed", "f8"),
+        *fields("f8", "lowest_clearance peak_head_speed"),
         ("node", NODE),
-        ("ticks", "i8"),
-        ("plant_slips", "i8"),
-        ("slipped_ticks", "i8"),
-        ("lateness", "f8"),
-        ("max_lateness", "f8"),
+        *fields("i8", "ticks plant_slips slipped_ticks"),
+        *fields("f8", "lateness max_lateness"),
     ],
     align=True,
 )
@@ -75,13 +69,7 @@ ticks lost in them; `lateness` (s) is the delay of this tick."""
 
 BALL = np.dtype(
     [
-        ("mass", "f8"),
-        ("radius", "f8"),
-        ("inertia_factor", "f8"),
-        ("restitution_factor", "f8"),
-        ("friction", "f8"),
-        ("drag_factor", "f8"),
-        ("lift_factor", "f8"),
+        *fields("f8", "mass radius inertia_factor restitution_factor friction drag_factor lift_factor"),
     ],
     align=True,
 )
@@ -89,9 +77,7 @@ BALL = np.dtype(
 
 PLANT_SURROUNDINGS = np.dtype(
     [
-        ("emergency_stop_clear", "?"),
-        ("guard_closed", "?"),
-        ("local_reset", "?"),
+        *fields("?", "emergency_stop_clear guard_closed local_reset"),
         ("encoder_valid", "u1", (3,)),
         ("frozen", "?"),
         ("regulated", "f8"),
@@ -183,8 +169,8 @@ def chosen_ball(folder: Path) -> Ball | None:
 
 def _ball_in(record: Any) -> Ball | None:
     """Return the ball in a BALL record, None for the plan's; ValueError if it is invalid."""
-    fields = dict(zip(BALL.names or (), record.item(), strict=True))
-    return Ball("surroundings", **fields) if any(fields.values()) else None
+    values = dict(zip(BALL.names or (), record.item(), strict=True))
+    return Ball("surroundings", **values) if any(values.values()) else None
 
 
 class SurroundingsWriter:

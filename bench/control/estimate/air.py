@@ -16,19 +16,16 @@ from typing import Any
 import numpy as np
 
 from bench.control.envelope import joint_coordinates
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled, fields
 from sim.dynamics import chambers, wrist_cylinder
 from sim.kane import kane_terms
 
 AIR_STATE = np.dtype(
     [
         ("started", "?"),
-        ("spool", "f8", (3,)),
-        ("spool_speed", "f8", (3,)),
-        ("pressure", "f8", (13,)),
-        ("rate", "f8", (13,)),
-        ("shown", "f8", (6,)),
-        ("since", "f8", (6,)),
+        *fields("f8", "spool spool_speed", (3,)),
+        *fields("f8", "pressure rate", (13,)),
+        *fields("f8", "shown since", (6,)),
         ("given", "f8", (3,)),
     ],
     align=True,

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compiled, fields, new_record
 
 FRESH = 0
 """A new, plausible sample."""
@@ -34,12 +34,7 @@ ENCODER_PARAMETERS = np.dtype(
     [
         ("counts_per_revolution", "f8", (3,)),
         ("count_range", "i8", (3,)),
-        ("zero_count", "f8", (3,)),
-        ("sign", "f8", (3,)),
-        ("middle", "f8", (3,)),
-        ("max_speed", "f8", (3,)),
-        ("tolerance", "f8", (3,)),
-        ("max_age", "f8", (3,)),
+        *fields("f8", "zero_count sign middle max_speed tolerance max_age", (3,)),
     ],
     align=True,
 )
@@ -48,16 +43,9 @@ ENCODER_PARAMETERS = np.dtype(
 
 ENCODER_STATE = np.dtype(
     [
-        ("angle", "f8", (3,)),
-        ("age", "f8", (3,)),
-        ("sample_time", "f8", (3,)),
-        ("unwrapped", "i8", (3,)),
-        ("rejected", "i8", (3,)),
-        ("verdict", "u1", (3,)),
-        ("fresh", "u1", (3,)),
-        ("started", "u1", (3,)),
-        ("indexed", "u1", (3,)),
-        ("zero_set", "u1", (3,)),
+        *fields("f8", "angle age sample_time", (3,)),
+        *fields("i8", "unwrapped rejected", (3,)),
+        *fields("u1", "verdict fresh started indexed zero_set", (3,)),
     ],
     align=True,
 )

@@ -26,14 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compiled, fields, new_record
 
 ESTIMATOR_PARAMETERS = np.dtype(
     [
-        ("quantisation", "f8", (3,)),
-        ("jitter", "f8", (3,)),
-        ("density", "f8", (3,)),
-        ("jump_density", "f8", (3,)),
+        *fields("f8", "quantisation jitter density jump_density", (3,)),
         ("initial_variance", "f8", (3, 3)),
     ],
     align=True,
@@ -44,14 +41,9 @@ inside the impact window (rad²/s³); variances of angle, velocity and accelerat
 
 ESTIMATOR_STATE = np.dtype(
     [
-        ("angle", "f8", (3,)),
-        ("velocity", "f8", (3,)),
-        ("acceleration", "f8", (3,)),
+        *fields("f8", "angle velocity acceleration", (3,)),
         ("covariance", "f8", (3, 6)),
-        ("innovation", "f8", (3,)),
-        ("innovation_variance", "f8", (3,)),
-        ("normalised_innovation", "f8", (3,)),
-        ("without_sample", "f8", (3,)),
+        *fields("f8", "innovation innovation_variance normalised_innovation without_sample", (3,)),
         ("started", "u1", (3,)),
     ],
     align=True,

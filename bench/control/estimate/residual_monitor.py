@@ -29,7 +29,7 @@ import numpy as np
 from bench.base.lifecycle import Cause, Phase, State
 from bench.control.envelope import joint_coordinates
 from bench.control.estimate.air import actuator_motion
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled, fields
 from sim.dynamics import chambers, wrist_cylinder
 from sim.kane import kane_terms
 
@@ -50,11 +50,7 @@ MODEL_LIMITS = np.dtype(
     [
         ("check", "?"),
         ("first_row", "i8"),
-        ("air", "f8", (2 * LEARNING, 3)),
-        ("flow", "f8", (2 * LEARNING, 3)),
-        ("velocity", "f8", (2 * LEARNING, 3)),
-        ("jump", "f8", (2 * LEARNING, 3)),
-        ("effort", "f8", (2 * LEARNING, 3)),
+        *fields("f8", "air flow velocity jump effort", (2 * LEARNING, 3)),
     ],
     align=True,
 )
@@ -64,14 +60,9 @@ rad/s, rad, N m. A row is that plus a phase, BRAKING + the phase in which a brak
 MODEL_STATE = np.dtype(
     [
         ("started", "?"),
-        ("spool", "f8", (3,)),
-        ("spool_speed", "f8", (3,)),
-        ("air", "f8", (13,)),
-        ("rate", "f8", (13,)),
-        ("measured", "f8", (6,)),
-        ("since", "f8", (6,)),
-        ("residual", "f8", (6,)),
-        ("flow", "f8", (6,)),
+        *fields("f8", "spool spool_speed", (3,)),
+        *fields("f8", "air rate", (13,)),
+        *fields("f8", "measured since residual flow", (6,)),
         ("effort", "f8", (3,)),
         ("settled", "f8"),
         ("pressed", "u1", (6,)),

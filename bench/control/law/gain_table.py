@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled, fields
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -37,8 +37,7 @@ _SUPPLY = (0.7, 1.4)
 """Range of the factor on the gains by the supply's pressure."""
 
 GAIN_TABLE_FIELDS = [
-    ("lower", "f8", (3,)),
-    ("spacing", "f8", (3,)),
+    *fields("f8", "lower spacing", (3,)),
     ("supply", "f8"),
     ("table", "f8", (*SHAPE, _ROWS, 3)),
 ]

@@ -27,13 +27,12 @@ from bench.control.law.gain_table import (
     Gains,
     GainTable,
 )
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compiled, fields, new_record
 
 PID_PARAMETERS = np.dtype(
     [
         *GAIN_TABLE_FIELDS,
-        ("lowest", "f8", (3,)),
-        ("highest", "f8", (3,)),
+        *fields("f8", "lowest highest", (3,)),
     ],
     align=True,
 )
@@ -41,11 +40,7 @@ PID_PARAMETERS = np.dtype(
 
 PID_STATE = np.dtype(
     [
-        ("proportional", "f8", (3,)),
-        ("integral", "f8", (3,)),
-        ("derivative", "f8", (3,)),
-        ("unsaturated", "f8", (3,)),
-        ("output", "f8", (3,)),
+        *fields("f8", "proportional integral derivative unsaturated output", (3,)),
         ("gains", "f8", (5, 3)),
         ("supply_factor", "f8"),
     ],
