@@ -15,8 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers.base import PASSIVE, Command, DriverError, Readings, check_open, device_limited, invalid_time
 from drivers.base.compiled import compiled, fields, new_record, numbers
-from drivers.base.native import compiled_call, copy_bytes, limit_command, pointer
-from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL, NativeCall, NativeCalls
+from drivers.base.native import (
+    DECLINED,
+    DONE,
+    OPERATIONAL,
+    NativeCall,
+    NativeCalls,
+    compiled_call,
+    copy_bytes,
+    limit_command,
+    pointer,
+)
 from drivers.base.records import COMMAND, READINGS, TRUTH, pack_command, unpack_command, unpack_readings
 from sim.faults import (
     Fault,

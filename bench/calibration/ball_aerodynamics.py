@@ -23,8 +23,7 @@ from scipy.optimize import least_squares
 from bench.base.from_toml import checked_values
 from drivers.base import Launch
 from drivers.base.ranges import Range
-from sim.air import Air
-from sim.ball import Ball
+from sim.ball import Air, Ball
 from sim.flight import Aerodynamics, Wind, fly, fly_many
 from sim.ground import Turf
 
@@ -48,7 +47,7 @@ class BallAerodynamics:
     mass: Annotated[float, Range(0.02, 0.06, "kg")]
     radius: Annotated[float, Range(0.015, 0.03, "m")]
     model: str
-    """Name of a `sim.aerodynamics.Aerodynamics`."""
+    """Name of a `sim.flight.Aerodynamics`."""
     drag_factor: Factor
     lift_factor: Factor
     drag_error: FactorError

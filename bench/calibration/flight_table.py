@@ -2,7 +2,7 @@
 
 Columns have the names of the shot table or of exports by TrackMan and Foresight, with the unit in the name or
 in a row below. Column `flight` has the number of the flight in tables of trajectory points. An empty cell is
-a figure that was not measured; direction and spin axis default to 0, the air to `sim.air.Air()`.
+a figure that was not measured; direction and spin axis default to 0, the air to `sim.ball.Air()`.
 
 UTF-8 and UTF-16 are read, with the separators comma, semicolon and tab (also named by a first line `sep=;`),
 and decimal commas, in quotes where the comma is the separator. Lines before the header, a row of units below
@@ -29,7 +29,7 @@ from bench.base.from_toml import encoding_of
 from bench.calibration.ball_aerodynamics import MeasuredFlight
 from drivers.base import Launch
 from drivers.base.ranges import read_number
-from sim.air import Air
+from sim.ball import Air
 
 _SEPARATORS = ",;\t"
 _HEADER_LINES = 20

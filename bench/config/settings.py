@@ -28,8 +28,7 @@ from drivers.base.ranges import Range
 from drivers.canopen.settings import CanopenSettings
 from drivers.daq.settings import DaqSettings
 from drivers.launch_monitor.settings import LaunchMonitorSettings
-from sim.air import Air
-from sim.ball import Ball
+from sim.ball import Air, Ball
 from sim.faults import Fault
 from sim.flight import Wind
 from sim.ground import Turf

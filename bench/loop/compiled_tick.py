@@ -32,8 +32,15 @@ from bench.control.step_records import (
 )
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base.compiled import compiled, new_record
-from drivers.base.native import call_native, monotonic_now, pointer
-from drivers.base.native_calls import DECLINED, OPERATIONAL, NativeCall, NativeCalls
+from drivers.base.native import (
+    DECLINED,
+    OPERATIONAL,
+    NativeCall,
+    NativeCalls,
+    call_native,
+    monotonic_now,
+    pointer,
+)
 from drivers.base.records import COMMAND, READINGS, TRUTH
 from sim.plant import PLANT_PARAMETERS
 from sim.robot import ROBOT

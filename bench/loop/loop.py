@@ -17,8 +17,16 @@ from bench.loop.compiled_tick import AT_DECIDE, AT_NOTE_TRUTH, AT_READ, AT_WRITE
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import ABSENT, PASSIVE, Command, Driver, DriverError, RecordReader
 from drivers.base.compiled import new_record, numbers
-from drivers.base.native import compiled_call, copy_bytes, pointer
-from drivers.base.native_calls import DECLINED, DONE, NativeCall, NativeCalls, NativeDriver
+from drivers.base.native import (
+    DECLINED,
+    DONE,
+    NativeCall,
+    NativeCalls,
+    NativeDriver,
+    compiled_call,
+    copy_bytes,
+    pointer,
+)
 from drivers.base.records import COMMAND, READINGS, pack_readings, unpack_command
 
 Cycles = np.ndarray[Any, Any]

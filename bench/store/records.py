@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from sim.air import Air
+    from sim.ball import Air
 
 
 class CampaignState(StrEnum):
@@ -216,7 +216,7 @@ class AirReading(NamedTuple):
     @property
     def air(self) -> Air:
         """The air that was read."""
-        from sim.air import Air  # most commands of a campaign do without the plant
+        from sim.ball import Air  # most commands of a campaign do without the plant
 
         return Air(self.temperature, self.pressure, self.relative_humidity)
 

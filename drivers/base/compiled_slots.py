@@ -12,8 +12,16 @@ import numpy as np
 from numba import carray
 
 from drivers.base.compiled import compiled
-from drivers.base.native import compiled_call, copy_bytes, fence, load_word, pointer, store_word
-from drivers.base.native_calls import DECLINED, DONE
+from drivers.base.native import (
+    DECLINED,
+    DONE,
+    compiled_call,
+    copy_bytes,
+    fence,
+    load_word,
+    pointer,
+    store_word,
+)
 from drivers.base.shared_memory import ADDRESS, FIRST, HEAD, MASK, READ, SIZE, STRIDE, WRITTEN
 
 _ATTEMPTS = 16

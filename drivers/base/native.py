@@ -1,5 +1,10 @@
 """How compiled code uses addresses: native functions, access, order of loads and stores, calls, the clock.
 
+Native functions are C functions by address, through which a compiled tick calls a driver or publisher. One
+takes the address of its block of memory, two addresses of records and the time (s), and returns a word. One
+that returns DECLINED has done nothing: the caller then runs the Python code, which handles every case and
+raises any error. Both give bit-identical results.
+
 Nothing here checks an address: a caller holds the arrays that it gives the addresses of.
 """
 
@@ -7,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import numba
 import numpy as np
@@ -18,6 +23,38 @@ from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
 from drivers.base.compiled import compiled, keep_code
+
+DECLINED = 0
+DONE = 1
+OPERATIONAL = 2
+"""Bit of a read's answer: `Driver.operational` after it."""
+
+
+class NativeCall(NamedTuple):
+    """A native function and its block; function 0 where Python does it."""
+
+    function: int = 0
+    block: int = 0
+
+
+class NativeCalls(NamedTuple):
+    """The native functions of a driver."""
+
+    read: NativeCall = NativeCall()
+    """READINGS at the first address; returns DONE, with OPERATIONAL, or DECLINED."""
+    write: NativeCall = NativeCall()
+    """COMMAND at the first address; the applied one is written to the second. Returns DONE or DECLINED."""
+    note_truth: NativeCall = NativeCall()
+    """TRUTH is written to the first address. Returns DONE or DECLINED."""
+
+
+@runtime_checkable
+class NativeDriver(Protocol):
+    """A driver that can also be called from compiled code."""
+
+    def native_calls(self) -> NativeCalls:
+        """Return the native functions; their blocks live as long as the driver."""
+
 
 _SIGNATURE = types.int64(types.int64, types.int64, types.int64, types.float64)
 

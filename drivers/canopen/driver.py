@@ -40,7 +40,7 @@ from drivers.base import (
     check_time,
     device_limited,
 )
-from drivers.base.native_calls import NativeCalls
+from drivers.base.native import NativeCalls
 from drivers.can_bus import ERROR, FRAME
 from drivers.canopen.frames import (
     COMMAND,

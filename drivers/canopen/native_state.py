@@ -8,7 +8,7 @@ from typing import Any
 import numba
 
 from drivers.base.compiled import new_record, numbers
-from drivers.base.native_calls import NativeCall, NativeCalls
+from drivers.base.native import NativeCall, NativeCalls
 from drivers.base.records import unpack_command
 from drivers.canopen.frames import ANALOGUE_IN_ONE, analogue_groups
 from drivers.canopen.native_tick import (

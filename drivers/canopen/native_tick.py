@@ -24,6 +24,9 @@ from drivers.base.clocks import MAX_READ
 from drivers.base.compiled import compiled, fields
 from drivers.base.native import (
     CLOCK_REALTIME,
+    DECLINED,
+    DONE,
+    OPERATIONAL,
     clock_now,
     compiled_call,
     copy_bytes,
@@ -31,7 +34,6 @@ from drivers.base.native import (
     monotonic_now,
     pointer,
 )
-from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL
 from drivers.base.records import COMMAND, READINGS
 from drivers.can_bus import FRAME
 from drivers.canopen.frames import (

@@ -15,8 +15,7 @@ from numba import carray
 from drivers.base import Command, DriverError, Readings
 from drivers.base.compiled import new_record, numbers
 from drivers.base.compiled_slots import newest_record, slots_at
-from drivers.base.native import compiled_call, copy_bytes, pointer
-from drivers.base.native_calls import DECLINED, NativeCall, NativeCalls
+from drivers.base.native import DECLINED, NativeCall, NativeCalls, compiled_call, copy_bytes, pointer
 from drivers.base.records import READINGS, unpack_readings
 from drivers.base.shared_memory import SharedMemoryError
 from sim.driver import SimDriver, read_plant, write_plant

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.config import load_configuration
-from sim.flight import Launch
+from drivers.base import Launch
 from sim.impact import strike
 from sim.robot import Club
 from tests.benchmarks.row import Row

@@ -13,20 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.aerodynamics import coefficients
-from sim.flight import (
-    STEP,
-    Aerodynamics,
-    Air,
-    Ball,
-    Launch,
-    Turf,
-    Wind,
-    _derivative,
-    _settings,
-    fly,
-    fly_many,
-)
+from drivers.base import Launch
+from sim.ball import Air, Ball
+from sim.flight import STEP, Aerodynamics, Wind, _derivative, _settings, coefficients, fly, fly_many
+from sim.ground import Turf
 
 YARD = 0.9144
 MPH = 0.44704

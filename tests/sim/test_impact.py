@@ -569,7 +569,8 @@ def test_impact_parameters_unusable_club_raises() -> None:
 
 def test_impact_and_flight_compiled_and_plain_python_agree() -> None:
     program = (
-        "from sim.robot import Club; from sim.ball import Ball; from sim.flight import Launch, fly;"
+        "from sim.robot import Club; from sim.ball import Ball; from drivers.base import Launch;"
+        "from sim.flight import fly;"
         "from sim.impact import *;"
         "p = impact_parameters(Club.driver(), Ball(), 0.925);"
         "i = impact_in_plane(0.01, -0.02, 4.73, 44.0, -1.0, 28.0, 0.011, -0.013, p);"

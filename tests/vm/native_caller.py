@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.base import Command, Driver, Readings
 from drivers.base.compiled import new_record
-from drivers.base.native_calls import DECLINED, NativeCall, NativeDriver
+from drivers.base.native import DECLINED, NativeCall, NativeDriver
 from drivers.base.records import COMMAND, READINGS, pack_command, unpack_command, unpack_readings
 
 _WORDS = [ctypes.c_int64] * 4

@@ -21,7 +21,7 @@ from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import COVERAGE
 from bench.campaign.statistics.block_model import independent_codes, mean_error
 from bench.records.shot.shot import Shot, ShotStatus
-from sim.air import Air
+from sim.ball import Air
 from sim.flight import fly_many
 
 BUDGETED = ("club_speed_mps", "ball_speed_mps", "launch_angle_deg", "carry_m")

@@ -55,8 +55,7 @@ from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from drivers.base import Launch
 from drivers.base.shared_memory import SharedMemoryError
-from sim.air import Air
-from sim.ball import Ball
+from sim.ball import Air, Ball
 from sim.impact import Delivery, strike
 from sim.live.exchange import SurroundingsWriter
 from sim.plant import PlantParameters

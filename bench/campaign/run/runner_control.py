@@ -42,7 +42,7 @@ from bench.network.client import BenchClient
 from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState
-from sim.air import Air
+from sim.ball import Air
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
 """Facts of the running bench that a mere restart does not change."""

@@ -33,8 +33,7 @@ from bench.swing.library import find_profile
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
 from drivers.launch_monitor.record import LaunchRecord, Match, MatchOutcome, MatchWindow, SwingImpact, match
-from sim.air import Air
-from sim.ball import Ball
+from sim.ball import Air, Ball
 from sim.flight import fly
 from sim.impact import Delivery
 from sim.launch_monitor import MonitorParameters, monitor_messages

@@ -319,7 +319,7 @@ def air(
     Shots on hardware use it from then on, for as long as the plan allows ([air] valid_for).
     """
     from bench.store.records import AirReading
-    from sim.air import Air
+    from sim.ball import Air
 
     address = context.ensure_object(Session).address()
     bench = address.bench.id

@@ -24,8 +24,7 @@ from bench.records.shot.shot import COLUMNS, Shot, ShotRecord, ShotStatus
 from bench.records.shot.strike import ball_struck, time_at_ball
 from bench.records.telemetry.recorder import read_swing
 from drivers.base import Launch
-from sim.air import Air
-from sim.ball import REFERENCE_BALL, Ball
+from sim.ball import REFERENCE_BALL, Air, Ball
 from sim.flight import Flight, Wind, fly
 from sim.ground import Turf
 from sim.impact import Delivery, delivery_from_plane, strike

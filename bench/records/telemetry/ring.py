@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.records.telemetry.cycle_record import CYCLE
-from drivers.base.native_calls import NativeCall
+from drivers.base.native import NativeCall
 from drivers.base.shared_memory import MappedSlots, SharedMemoryError, SharedRecord
 
 CAPACITY = 16384

@@ -25,9 +25,9 @@ from bench.calibration.ball_aerodynamics import (
 from bench.calibration.flight_table import read_flights
 from bench.config import database_url
 from bench.store.database import open_database
-from sim.air import Air
-from sim.ball import Ball
-from sim.flight import Launch, Wind, fly
+from drivers.base import Launch
+from sim.ball import Air, Ball
+from sim.flight import Wind, fly
 from sim.ground import Turf
 
 MASS, RADIUS = 0.04593, 0.021335

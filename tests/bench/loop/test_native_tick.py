@@ -22,8 +22,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import Command, DriverError, device_limited
 from drivers.base.compiled import new_record
-from drivers.base.native import limit_command
-from drivers.base.native_calls import NativeCalls
+from drivers.base.native import NativeCalls, limit_command
 from drivers.base.records import COMMAND, pack_command, unpack_command
 from drivers.base.shared_memory import SharedRecord
 from sim.driver import SimDriver

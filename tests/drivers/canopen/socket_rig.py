@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.base import Command, Readings
 from drivers.base.compiled import new_record
-from drivers.base.native_calls import DECLINED, NativeCall
+from drivers.base.native import DECLINED, NativeCall
 from drivers.base.records import COMMAND, READINGS, pack_command, unpack_command, unpack_readings
 from drivers.can_bus import FRAME
 from drivers.canopen.driver import CanopenDriver

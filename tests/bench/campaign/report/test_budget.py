@@ -18,7 +18,7 @@ from bench.campaign.report.budget import UncertaintyBudget, flight_slopes, uncer
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from drivers.base import Launch
-from sim.air import Air
+from sim.ball import Air
 from sim.flight import fly
 
 BENCH: dict[str, Any] = {

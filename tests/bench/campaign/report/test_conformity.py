@@ -19,9 +19,9 @@ from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.config import Configuration
 from bench.records.shot.shot import Shot, ShotStatus
-from sim.air import Air
-from sim.ball import Ball
-from sim.flight import Launch, fly
+from drivers.base import Launch
+from sim.ball import Air, Ball
+from sim.flight import fly
 
 YARD = 0.9144
 WHEN = datetime(2026, 11, 22, 10, 0, tzinfo=UTC)

@@ -52,8 +52,7 @@ from bench.store.records import CampaignState
 from bench.supervisor.status import NO_LAUNCH_MONITOR
 from drivers.base import Launch
 from drivers.launch_monitor.record import LaunchRecord, MatchOutcome
-from sim.air import Air
-from sim.ball import Ball
+from sim.ball import Air, Ball
 from tests.bench.campaign.as_designed import AsDesigned
 from tests.bench.campaign.test_notifications import webhook
 from tests.running_bench import BenchProcess, running_bench, write_configuration

@@ -23,7 +23,7 @@ from bench.records.shot.recorded_shot import (
 from bench.records.shot.shot import ShotRecord, ShotStatus
 from bench.records.telemetry.recorder import write_swing
 from bench.viewer.signals import effort_limits, efforts, limits_of, signals_of
-from sim.air import Air
+from sim.ball import Air
 from sim.flight import Wind
 from sim.ground import Turf
 from sim.plant import PlantParameters, Site
