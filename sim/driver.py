@@ -1,4 +1,4 @@
-"""The plant behind the driver contract, in lock-step: `read` advances it to the given time.
+"""The plant behind the driver contract: `read` advances it to the given time.
 
 Time is counted in ticks of the plant, never accumulated and never read from a clock, so the same calls give
 the same readings, bit for bit.
@@ -7,6 +7,7 @@ the same readings, bit for bit.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers.base import PASSIVE, Command, DriverError, Readings, check_open, device_limited, invalid_time
 from drivers.base.compiled import compiled, fields, new_record, numbers
+from drivers.base.compiled_slots import newest_record, slots_at
 from drivers.base.native import (
     DECLINED,
     DONE,
@@ -27,6 +29,8 @@ from drivers.base.native import (
     pointer,
 )
 from drivers.base.records import COMMAND, READINGS, TRUTH, pack_command, unpack_command, unpack_readings
+from drivers.base.shared_memory import SharedMemoryError
+from sim.exchange import CONTACT, PLANT_REPORT, PLANT_SURROUNDINGS, HandledPlant, PlantFiles
 from sim.faults import (
     Fault,
     Faults,
@@ -314,3 +318,131 @@ def _note_truth_native(block: int, truth: int, _: int, time: float) -> int:
     a = carray(pointer(block), 7, np.int64)
     note_truth(carray(pointer(a[3]), 1, PLANT_STATE), carray(pointer(truth), 1, TRUTH))
     return DONE
+
+
+_FROZEN, _SURROUNDED, _STRUCK, _HAS_READ = range(4)
+"""Memory of a PacedPlantDriver: whether readings are frozen, the version of the surroundings in force,
+whether the ball was struck at the last check, and whether there are readings to freeze."""
+_SIM, _SURROUNDINGS, _MEMORY, _LAST, _STATE = range(5)
+"""Addresses in its block: SimDriver's block, that of the surroundings' file (0 while closed), its
+memory, its last readings, and the plant's state."""
+
+
+class PacedPlantDriver(SimDriver):
+    """A plant paced by the loop, with controllable surroundings and contact reports in shared memory.
+
+    The files are those of simulated nodes (`sim.exchange`), so simulated operators and launch monitors work
+    with either. Only the contact is updated in the report.
+    """
+
+    def __init__(
+        self, folder: Path, plant: PlantParameters, *, faults: tuple[Fault, ...] = (), watchdog: float = 0.02
+    ) -> None:
+        """Use `folder` of the bench for the files; `faults` as for `SimDriver`."""
+        super().__init__(plant, faults=faults, watchdog=watchdog, seed=plant.seed)
+        self._folder = folder
+        self._files: PlantFiles | None = None
+        self._surroundings, self._report = new_record(PLANT_SURROUNDINGS), new_record(PLANT_REPORT)
+        self._handled = HandledPlant(self.plant, self.plant_state, self.faults)
+        self._last = new_record(READINGS)
+        self._struck = numbers(self.plant_state["struck"])
+        remembered = np.zeros(4, np.int64)
+        self._memory = numbers(remembered)
+        held = self._block, remembered, self._last, self.plant_state
+        self._paced_block = np.zeros(5, np.int64)
+        self._paced_block[[_SIM, _MEMORY, _LAST, _STATE]] = [array.ctypes.data for array in held]
+
+    def native_calls(self) -> NativeCalls:
+        """Return the native functions; none with faults."""
+        calls, block = super().native_calls(), self._paced_block.ctypes.data
+        if not calls.read.function:
+            return NativeCalls()
+        read, write = NativeCall(_read_paced.address, block), NativeCall(_write_paced.address, block)
+        return calls._replace(read=read, write=write)
+
+    def open(self) -> None:
+        """Create the files and start with the passive command.
+
+        Raises:
+            DriverError: already open, or the files cannot be created.
+        """
+        super().open()
+        try:
+            self._files = PlantFiles(self._folder)
+        except SharedMemoryError as error:
+            super().close()
+            raise DriverError(f"sim driver: {error}") from error
+        self._memory[_SURROUNDED] = 0
+        self._paced_block[_SURROUNDINGS] = self._files.surroundings.slots.block.ctypes.data
+
+    def read_record(self, time: float, record: np.ndarray[Any, Any]) -> None:
+        """Advance the plant to `time` (s), report a struck ball, write the readings into `record`.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or earlier than the last.
+        """
+        memory = self._memory
+        if self._files is not None and self._files.surroundings.slots.head != memory[_SURROUNDED]:
+            memory[_SURROUNDED] = self._files.surroundings.read(self._surroundings)
+            self._handled.set_surroundings(self._surroundings)
+            memory[_FROZEN] = self._handled.frozen
+        super().read_record(time, record)
+        self._note_contact()
+        if memory[_FROZEN] and memory[_HAS_READ]:
+            record[...] = self._last
+            record["time"] = time
+            record["encoder_age"] = time - record["encoder_time"]
+        else:
+            self._last[...] = record
+            memory[_HAS_READ] = True
+
+    def write(self, command: Command) -> Command:
+        """Apply `command` within the device's limits; DriverError if not open."""
+        self._note_contact()
+        return super().write(command)
+
+    def close(self) -> None:
+        """Make the device passive, close it in any state, and remove the files."""
+        super().close()
+        self._paced_block[_SURROUNDINGS] = 0
+        if self._files is not None:
+            self._files.close()
+            self._files = None
+
+    def _note_contact(self) -> None:
+        """Report a ball struck since the last check: its contact with the club, with loop time."""
+        struck, report = self._struck[0], self._report
+        if struck != self._memory[_STRUCK]:
+            self._memory[_STRUCK] = struck
+            if struck:
+                for name in CONTACT.names or ():
+                    report["contact"][name] = self.plant_state[name]
+                report["contacts"] += 1
+                if self._files is not None:
+                    self._files.report.write(report)
+
+
+@compiled_call
+def _read_paced(block: int, record: int, _: int, time: float) -> int:
+    """Read unless the surroundings have changed or readings are frozen."""
+    a = carray(pointer(block), 5, np.int64)
+    memory = carray(pointer(a[_MEMORY]), 4, np.int64)
+    if a[_SURROUNDINGS] == 0 or memory[_FROZEN] != 0:
+        return DECLINED
+    if newest_record(slots_at(a[_SURROUNDINGS])) != memory[_SURROUNDED]:
+        return DECLINED
+    status = read_plant(a[_SIM], record, time)
+    if status != DECLINED:
+        copy_bytes(record, a[_LAST], _READINGS_SIZE)
+        memory[_HAS_READ] = 1
+    return status
+
+
+@compiled_call
+def _write_paced(block: int, command: int, applied: int, time: float) -> int:
+    """Write unless a contact is to be reported."""
+    a = carray(pointer(block), 5, np.int64)
+    struck = carray(pointer(a[_STATE]), 1, PLANT_STATE)[0].struck
+    if struck != (carray(pointer(a[_MEMORY]), 4, np.int64)[_STRUCK] != 0):
+        return DECLINED
+    return write_plant(a[_SIM], command, applied)

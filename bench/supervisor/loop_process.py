@@ -57,7 +57,7 @@ from drivers.base.compiled import new_record, numbers
 from drivers.base.machine_code import cache_folder
 from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 from drivers.registry import choose_driver, find_drivers
-from sim.live.paced_driver import PacedPlantDriver
+from sim.driver import PacedPlantDriver
 
 
 class ThreadUsage(NamedTuple):
@@ -148,9 +148,7 @@ class LoopProcess:
         self._period_ns = round(1e9 / c.loop.rate)
         self.driver = configured_driver(c, plan.folder)
         self.paced = c.driver.paced
-        self._set_phase: Callable[[int], None] | None = None
-        if c.faults and isinstance(self.driver, PacedPlantDriver):
-            self._set_phase = self.driver.set_phase
+        self._faulty = self.driver if c.faults and isinstance(self.driver, PacedPlantDriver) else None
         self.parameters = build_controller(
             c.plant,
             plan.profile,
@@ -296,8 +294,8 @@ class LoopProcess:
         marks = cycle.marks
         self._wake_latency[0] = 1e-9 * (clock.woke - clock.due)
         self._work_time[0] = 1e-9 * (self._marks[-1] - self._marks[0])
-        if self._set_phase is not None:
-            self._set_phase(self._phase[0])
+        if self._faulty is not None:  # faults with an onset by phase
+            self._faulty.phase = self._phase[0]
         self.orders.put(cycle.state.control, time)
         if self._request[0] == Request.RESET and self._phase[0] == Phase.STANDING:
             try:

@@ -3,7 +3,7 @@
 Three encoders (CiA 406) and a node of valves and interlocks (CiA 401) as described by their EDS files. A SYNC
 samples the shafts at that instant: the plant's last tick, extrapolated with its speed. Frames that waited
 while this process stood still are taken at their own time, the plant's ticks in between. Operator actions and
-faults come from `sim.live.exchange`; the plant reports as in `sim.live.exchange`.
+faults come from `sim.exchange`; the plant reports as in `sim.exchange`.
 
 `python -m sim.nodes.process` takes a pickled NodesPlan on stdin and reports "ready", "failed" or "stopped"
 as a JSON line on stdout. It ends on SIGTERM, or when its parent is gone.
@@ -36,7 +36,7 @@ from drivers.base.clocks import WallOffset
 from drivers.base.compiled import new_record
 from drivers.base.records import unpack_readings
 from drivers.base.shared_memory import SharedMemoryError
-from sim.live.exchange import PLANT_SURROUNDINGS, PlantFiles, undisturbed
+from sim.exchange import PLANT_SURROUNDINGS, PlantFiles, undisturbed
 from sim.nodes.device import OPERATIONAL, SYNC, CanopenDevice
 from sim.nodes.profile_nodes import EncoderNode, ValveNode401
 from sim.nodes.wall_plant import NodesPlan, WallGrid, WallPlant

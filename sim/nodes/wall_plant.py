@@ -13,6 +13,7 @@ from drivers.base import PASSIVE, Triple
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, pack_command
 from sim.driver import hanging_pose
+from sim.exchange import CONTACT, PLANT_REPORT, HandledPlant
 from sim.faults import (
     Fault,
     Faults,
@@ -23,7 +24,6 @@ from sim.faults import (
     notice_onsets,
     own_records,
 )
-from sim.live.exchange import CONTACT, PLANT_REPORT, HandledPlant
 from sim.nodes.personality import Personality
 from sim.plant import PlantParameters, advance, build_plant, initial_state
 from sim.sensors import note_truth, sense
@@ -42,7 +42,7 @@ class NodesPlan:
     valve_node: int
     plant: PlantParameters
     folder: Path
-    """Folder of the plant's shared records, see `sim.live.exchange`."""
+    """Folder of the plant's shared records, see `sim.exchange`."""
     angle: Triple | None = None
     """Joint angles at the start, rad; None for the hanging pose."""
     priority: int = 0

@@ -31,7 +31,7 @@ from drivers.base import PASSIVE, Command
 from drivers.base.records import unpack_command
 from drivers.base.shared_memory import SharedRecord
 from drivers.can_bus import switch
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE
+from sim.exchange import PLANT_REPORT, REPORT_FILE
 from tests.drivers.canopen.frame_classes import CLASSES
 from tests.running_bench import BenchProcess, command_beside, played_nodes, running_bench, write_configuration
 

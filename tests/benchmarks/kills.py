@@ -27,7 +27,7 @@ from bench.base.lifecycle import Cause, Phase, State
 from bench.network.client import CommandRefused
 from bench.simulation.loads import stop_shares
 from drivers.base.shared_memory import SharedRecord
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE
+from sim.exchange import PLANT_REPORT, REPORT_FILE
 from tests.benchmarks.row import Row
 from tests.running_bench import BenchProcess, played_nodes, running_bench, write_configuration
 

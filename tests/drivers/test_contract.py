@@ -24,7 +24,7 @@ from drivers.canopen.settings import CanopenSettings
 from drivers.daq.driver import DaqDriver
 from drivers.mock import MockDriver
 from sim.driver import SimDriver
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE
+from sim.exchange import PLANT_REPORT, REPORT_FILE
 from sim.nodes.wall_plant import NodesPlan
 from sim.plant import PlantParameters
 from tests.drivers.canopen.in_step import Wire, make

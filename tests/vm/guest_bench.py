@@ -36,7 +36,7 @@ from bench.supervisor.timing_record import TimingReader
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
 from drivers.base.shared_memory import SharedRecord
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE, SurroundingsWriter
+from sim.exchange import PLANT_REPORT, REPORT_FILE, SurroundingsWriter
 from tests.vm.guest import CARDS, CONFIGURATIONS, NODES_FOLDER, SYSTEM, UNITS, configuration, run, say
 
 UNIT = "golfbench@bench1"

@@ -56,8 +56,8 @@ from bench.swing.profile import Profile
 from drivers.base import Launch
 from drivers.base.shared_memory import SharedMemoryError
 from sim.ball import Air, Ball
+from sim.exchange import SurroundingsWriter
 from sim.impact import Delivery, strike
-from sim.live.exchange import SurroundingsWriter
 from sim.plant import PlantParameters
 from sim.robot import Club
 

@@ -318,8 +318,8 @@ def _run_monitor(
     """
     from drivers.base import Launch
     from drivers.base.shared_memory import SharedMemoryError
+    from sim.exchange import ContactMonitor, warm_up
     from sim.launch_monitor import ClubMotion, SimulatedMonitor
-    from sim.live.exchange import ContactMonitor, warm_up
 
     def say(text: str) -> None:
         typer.echo(text, err=True)
@@ -364,8 +364,8 @@ def _run_monitor(
 def _carry(launch: Launch, folder: Path, c: Configuration) -> float | None:
     """Return the carry of the ball on the plant's tee with `launch`, None if it does not fly."""
     from drivers.base.shared_memory import SharedMemoryError
+    from sim.exchange import chosen_ball
     from sim.flight import fly
-    from sim.live.exchange import chosen_ball
 
     try:
         ball = chosen_ball(folder) or c.plant.ball

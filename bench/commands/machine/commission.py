@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from bench.commissioning.machine.step import NamedStep, RobotEstimate, SwungRobot
     from bench.config import Configuration
     from bench.control.settings import EnvelopeSettings
-    from sim.live.exchange import ContactMonitor
+    from sim.exchange import ContactMonitor
     from sim.plant import PlantParameters
 
 Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step.")]
@@ -253,7 +253,7 @@ def _live(
     from bench.commissioning.machine.inputs import in_simulation
     from bench.commissioning.machine.machine_process import live_robot
     from bench.supervisor.ownership import take_bench
-    from sim.live.exchange import ContactMonitor
+    from sim.exchange import ContactMonitor
 
     def say(text: str) -> None:
         bar.console.print(text, highlight=False)

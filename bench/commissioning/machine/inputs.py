@@ -20,7 +20,7 @@ from typing import NamedTuple
 from bench.base.errors import BenchError, ExitCode
 from bench.commissioning.machine.step import Mark
 from drivers.base import PASSIVE, Command, Readings
-from sim.live.exchange import SurroundingsWriter
+from sim.exchange import SurroundingsWriter
 
 
 class Act(NamedTuple):

@@ -31,7 +31,7 @@ from bench.records.telemetry.recorder import read_swing
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignEntry, CampaignState
-from sim.live.exchange import SurroundingsWriter
+from sim.exchange import SurroundingsWriter
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
 pytestmark = [pytest.mark.live, pytest.mark.paced, pytest.mark.release]

@@ -25,10 +25,9 @@ from drivers.base.compiled import new_record
 from drivers.base.native import NativeCalls, limit_command
 from drivers.base.records import COMMAND, pack_command, unpack_command
 from drivers.base.shared_memory import SharedRecord
-from sim.driver import SimDriver
+from sim.driver import PacedPlantDriver, SimDriver
+from sim.exchange import PLANT_REPORT, PLANT_SURROUNDINGS, REPORT_FILE, SURROUNDINGS_FILE
 from sim.faults import Fault
-from sim.live.exchange import PLANT_REPORT, PLANT_SURROUNDINGS, REPORT_FILE, SURROUNDINGS_FILE
-from sim.live.paced_driver import PacedPlantDriver
 from sim.plant import PlantParameters
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
@@ -177,7 +176,7 @@ def test_native_tick_paced_plant_matches_python_bits(parameters: ControlParamete
         around["frozen"] = False
         outside.write(around)
         bench.run(25, 30)
-        bench.driver._driver.plant_state["struck"] = True
+        bench.driver.plant_state["struck"] = True
         bench.run(30, 35)
         report, shared = np.zeros(1, PLANT_REPORT), SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
         assert shared.read(report) == 1

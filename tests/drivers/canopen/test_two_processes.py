@@ -21,7 +21,7 @@ from drivers.base.shared_memory import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE, SURROUNDINGS_FILE, SurroundingsWriter
+from sim.exchange import PLANT_REPORT, REPORT_FILE, SURROUNDINGS_FILE, SurroundingsWriter
 from sim.nodes.wall_plant import NodesPlan
 from sim.plant import PlantParameters
 

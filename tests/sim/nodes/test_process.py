@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen.frames import SYNC, TPDO2
-from sim.live.exchange import PLANT_SURROUNDINGS
+from sim.exchange import PLANT_SURROUNDINGS
 from sim.nodes.process import BenchNodes
 from sim.nodes.wall_plant import WallGrid
 from sim.plant import PlantParameters

@@ -16,9 +16,9 @@ from drivers.base.compiled import new_record
 from drivers.base.records import READINGS, TRUTH, pack_readings, unpack_command
 from sim.ball import Ball
 from sim.driver import SimDriver
+from sim.exchange import BALL, CONTACT, PLANT_SURROUNDINGS
 from sim.impact import impact_parameters
 from sim.kinematics import forward_kinematics, inverse_kinematics
-from sim.live.exchange import BALL, CONTACT, PLANT_SURROUNDINGS
 from sim.nodes.wall_plant import NodesPlan, WallPlant
 from sim.plant import PlantParameters
 from sim.sensors import contact_in

@@ -14,7 +14,7 @@ from bench.config import load_configuration
 from drivers.base.compiled import new_record
 from drivers.canopen.driver import CanopenDriver
 from drivers.registry import choose_driver, find_drivers
-from sim.live.exchange import PLANT_SURROUNDINGS, PlantFiles
+from sim.exchange import PLANT_SURROUNDINGS, PlantFiles
 from tests.running_bench import command_beside
 
 pytestmark = pytest.mark.live

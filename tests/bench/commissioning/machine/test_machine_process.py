@@ -47,8 +47,8 @@ from drivers.base import INVALID, PASSIVE, Command
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS
 from drivers.canopen.frames import MAX_LOAD, bus_load
-from sim.live.exchange import SurroundingsWriter
-from sim.live.paced_driver import PacedPlantDriver
+from sim.driver import PacedPlantDriver
+from sim.exchange import SurroundingsWriter
 
 BOUNDS = MotionBounds((10.0, 10.0, 20.0), (3.0, 3.0, 5.0), 9e5)
 OPENING = (0.1, 0.0, 0.0)

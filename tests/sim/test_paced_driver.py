@@ -11,9 +11,8 @@ import pytest
 
 from drivers.base import PASSIVE, DriverError
 from sim.ball import Ball
-from sim.driver import SimDriver
-from sim.live.exchange import REPORT_FILE, SURROUNDINGS_FILE, ContactMonitor, SurroundingsWriter, warm_up
-from sim.live.paced_driver import PacedPlantDriver
+from sim.driver import PacedPlantDriver, SimDriver
+from sim.exchange import REPORT_FILE, SURROUNDINGS_FILE, ContactMonitor, SurroundingsWriter, warm_up
 from sim.plant import PlantParameters
 
 
@@ -28,7 +27,7 @@ def driver(tmp_path: Path) -> Iterator[PacedPlantDriver]:
 def strike(driver: PacedPlantDriver, time: float, speed: float) -> None:
     """Let the plant have struck a ball, as its tick does."""
     driver.read(time)
-    state = driver._driver.plant_state
+    state = driver.plant_state
     state["ball_velocity"], state["struck"] = [speed, 10.0, 0.0], True
     driver.read(time)
 
@@ -60,13 +59,13 @@ def test_paced_driver_applies_surroundings(driver: PacedPlantDriver, tmp_path: P
         hands.change(frozen=False)
         hands.place_ball()
         assert driver.read(0.004).ball_present
-        before = driver._driver.plant.impact.copy()
+        before = driver.plant.impact.copy()
         hands.choose_ball(replace(Ball("slow"), restitution_factor=0.9))
         driver.read(0.005)
-        assert driver._driver.plant.impact["restitution"] == pytest.approx(0.9 * before["restitution"])
+        assert driver.plant.impact["restitution"] == pytest.approx(0.9 * before["restitution"])
         hands.choose_ball(None)
         driver.read(0.006)
-        assert np.array_equal(driver._driver.plant.impact, before)
+        assert np.array_equal(driver.plant.impact, before)
 
 
 def test_contact_monitor_reports_each_contact_once(driver: PacedPlantDriver, tmp_path: Path) -> None:

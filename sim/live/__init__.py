@@ -1,1 +1,0 @@
-"""The simulated plant of a running bench."""
