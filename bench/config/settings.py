@@ -14,8 +14,7 @@ from bench.base.address import BenchSettings, NetworkSettings
 from bench.base.errors import BenchError
 from bench.base.from_toml import format_value
 from bench.base.json_schema import json_value
-from bench.control.made_for import LimitsFingerprint
-from bench.control.residual_thresholds import LimitsInUse, limits_in_use, limits_path
+from bench.control.residual_thresholds import LimitsFingerprint, LimitsInUse, limits_in_use, limits_path
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,

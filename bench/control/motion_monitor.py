@@ -18,8 +18,8 @@ from bench.base.lifecycle import (
 )
 from bench.control.envelope import motion_cause
 from bench.control.estimate.residual_monitor import BRAKING, model_cause, row_of
+from bench.control.monitor.position_monitor import spool_cause
 from bench.control.monitor.pressure_monitor import air_cause
-from bench.control.monitor.spool_monitor import spool_cause
 from bench.control.moves.address_pressure import address_air_cause
 from bench.control.moves.first_motion import first_motion_cause
 from bench.control.moves.ground_clearance import monitor_low_head

@@ -9,8 +9,8 @@ import numpy as np
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.envelope import interlock_cause
 from bench.control.law.pid import reset_integral
+from bench.control.monitor.position_monitor import spool_cause
 from bench.control.monitor.pressure_monitor import air_cause, all_chambers_are_seen, chambers_show_pressure
-from bench.control.monitor.spool_monitor import spool_cause
 from bench.control.moves.homing import begin_search
 from bench.control.moves.references import begin_move, follow_profile
 from bench.control.states import change_state, disarm, near_address

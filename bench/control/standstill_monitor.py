@@ -8,9 +8,7 @@ import numpy as np
 
 from bench.base.lifecycle import Cause, State
 from bench.control.estimate.residual_monitor import model_cause
-from bench.control.monitor.encoder_monitor import resting_jump
-from bench.control.monitor.exhaust_monitor import exhaust_cause
-from bench.control.monitor.guard_lock_monitor import lock_is_late
+from bench.control.monitor.position_monitor import lock_is_late, resting_jump, spool_cause
 from bench.control.monitor.pressure_monitor import (
     air_cause,
     chambers_show_pressure,
@@ -18,7 +16,7 @@ from bench.control.monitor.pressure_monitor import (
     manifold_shows_pressure,
     nothing_is_held_up,
 )
-from bench.control.monitor.spool_monitor import spool_cause
+from bench.control.monitor.venting_monitor import exhaust_cause
 from bench.control.moves.first_motion import forget_answers
 from bench.control.moves.homing import begin_search
 from bench.control.requests import is_released, manifold_is_full

@@ -20,12 +20,9 @@ from bench.control.estimate.estimator import estimate
 from bench.control.estimate.residual_monitor import observe
 from bench.control.law.feed_forward import PNEUMATIC
 from bench.control.law.gain_table import supply_factor
-from bench.control.monitor.encoder_monitor import index_cause
-from bench.control.monitor.exhaust_monitor import monitor_exhausts
-from bench.control.monitor.guard_lock_monitor import monitor_guard_lock
-from bench.control.monitor.manifold_monitor import monitor_manifold
+from bench.control.monitor.position_monitor import index_cause, monitor_guard_lock, monitor_spools
 from bench.control.monitor.pressure_monitor import VENTS, air_fault, monitor_pressures
-from bench.control.monitor.spool_monitor import monitor_spools
+from bench.control.monitor.venting_monitor import monitor_exhausts, monitor_manifold
 from bench.control.motion_monitor import monitor_motion, monitor_permission
 from bench.control.moves.braking import brake, brake_blind, wait_passive
 from bench.control.moves.ground_clearance import escape

@@ -126,7 +126,7 @@ MANIFOLD = _nested(
     ("unproven", "?"),  # its sensor has to prove itself at the next venting
     ("excused", "?"),  # a reset has taken notice of that
 )
-"""Memory of `bench.control.monitor.manifold_monitor`."""
+"""Memory of `bench.control.monitor.venting_monitor`."""
 
 EXHAUSTS = _nested(
     ("bound", "f8", (13,)),  # Pa, as in AIR_STATE
@@ -134,7 +134,7 @@ EXHAUSTS = _nested(
     ("late", "f8", (6,)),  # s for which a chamber has been above its bound
     ("slow", "u1", (6,)),  # its exhaust was found too slow since the last reset
 )
-"""Memory of `bench.control.monitor.exhaust_monitor`."""
+"""Memory of `bench.control.monitor.venting_monitor`."""
 
 SPOOLS = _nested(
     ("fitted", "u1", (3,)),  # the valve has reported its spool's position
@@ -144,13 +144,13 @@ SPOOLS = _nested(
     ("late", "f8", (3,)),  # s for which the position has been off the model
     ("wrong", "u1", (3,)),  # off the model for too long, and not back on it since
 )
-"""Memory of `bench.control.monitor.spool_monitor`."""
+"""Memory of `bench.control.monitor.position_monitor`."""
 
 LOCK = _nested(
     ("agreed", "f8"),  # s: when the guard's lock last agreed with its command
     ("wrong", "?"),  # it did not for too long, and has not been seen to since
 )
-"""Memory of `bench.control.monitor.guard_lock_monitor`."""
+"""Memory of `bench.control.monitor.position_monitor`."""
 
 ADDRESS_AIR = _nested(
     ("held", "u1", (3,)),  # the joint is in its band: its valve serves its air

@@ -18,9 +18,14 @@ from numpy.typing import NDArray
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.control.estimate.residual_monitor import KINDS, LEARNING
-from bench.control.made_for import LimitsFingerprint
 from bench.control.measured_plant import measured_as
-from bench.control.residual_thresholds import FROM_SETTINGS, REQUIRED, LimitTables, ModelLimits
+from bench.control.residual_thresholds import (
+    FROM_SETTINGS,
+    REQUIRED,
+    LimitsFingerprint,
+    LimitTables,
+    ModelLimits,
+)
 from bench.control.settings import MODEL_ROWS, ModelSettings, Triple, build_controller, with_tables_of
 from bench.control.step_records import ControlParameters
 from bench.simulation.local_engine import InProcess

@@ -18,13 +18,14 @@ from bench.base.lifecycle import CAUSE_TEXT
 from bench.control.law.gain_table import Gains, gains_at
 from bench.control.law.linear_loop import (
     Estimator,
+    LinearPlant,
     Margins,
+    OperatingPoint,
     estimator_response,
     least_damping,
     loop_responses,
     margins_of,
 )
-from bench.control.law.linear_plant import LinearPlant, OperatingPoint
 from bench.simulation.series import Bench, Series, quiet
 from sim.plant import PlantParameters
 

@@ -15,8 +15,7 @@ from bench.commands.common.output import finite, plain_table, progress_bar
 
 if TYPE_CHECKING:
     from bench.control.law.gain_scheduling import MachineGains
-    from bench.control.law.linear_loop import Estimator
-    from bench.control.law.linear_plant import LinearPlant
+    from bench.control.law.linear_loop import Estimator, LinearPlant
     from bench.learning.along_swing import LoopMargins, ValidationSwing
     from bench.simulation.series import Bench
 
@@ -65,8 +64,7 @@ def tune(
 
 def _linearised(bench: Bench) -> tuple[list[LinearPlant], Estimator]:
     """Return the plant at instants of the bench's swing, and its settled filters."""
-    from bench.control.law.linear_loop import steady_estimator
-    from bench.control.law.linear_plant import linearize
+    from bench.control.law.linear_loop import linearize, steady_estimator
     from bench.control.settings import estimator_record
     from bench.learning.along_swing import operating_points
     from sim.plant import build_plant

@@ -34,14 +34,18 @@ from numpy.typing import NDArray
 from bench.control.estimate.estimator import ESTIMATOR_PARAMETERS
 from bench.control.law.gain_table import SHAPE, Gains, GainTable
 from bench.control.law.linear_loop import (
+    Complex,
     Estimator,
+    LinearPlant,
+    at_rest,
     estimator_response,
     least_damping,
+    linearised,
+    linearize,
     loop_responses,
     margins_of,
     steady_estimator,
 )
-from bench.control.law.linear_plant import Complex, LinearPlant, at_rest, linearised, linearize
 from drivers.base.compiled import new_record
 from sim.driver import joint_travel
 from sim.plant import Plant, PlantParameters, build_plant

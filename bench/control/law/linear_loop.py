@@ -1,20 +1,164 @@
-"""The closed loop of a robot linearised at an instant: estimator and PIDs, tick by tick, and its margins.
+"""The robot with its air, linearised at an instant; its closed loops tick by tick, and their margins.
 
-Modes slower than `_MIN_FREQUENCY` are not judged: within a swing they do not come to show.
+The motion is frozen: angles, speeds, pressures and openings stay. Joints slide (dry friction has no slope),
+spools are beyond their dead band (where the dither carries them), end stops are not touched. Modes slower
+than `_MIN_FREQUENCY` are not judged: within a swing they do not come to show.
 """
 
 from __future__ import annotations
 
+from math import copysign, cos, sin
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import expm, solve_discrete_are
 
+from bench.control.estimate.air import actuator_motion
+from bench.control.law.force_reference import actuator_forces
 from bench.control.law.gain_table import Gains
-from bench.control.law.linear_plant import Complex, LinearPlant
+from drivers.base.compiled import compiled
+from sim.dynamics import chambers
+from sim.kane import accelerations
+from sim.plant import Plant
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FREQUENCIES = 2 * np.pi * np.geomspace(1.0, 450.0, 600)
+"""Frequencies of the responses (rad/s)."""
+_MOTION = 12
+"""Angles, speeds, pressures."""
+_OPENED = 0.005
+_CHARGED = 0.75
+"""Share of the supply's pressure that charging leaves in the chambers."""
+
+
+class OperatingPoint(NamedTuple):
+    """An instant of a swing."""
+
+    name: str
+    motion: Array
+    """(12,) angles rad, speeds rad/s, chamber pressures Pa."""
+    supply: float
+    opening: Array
+    damping: float
+    """Share of the damping gain that acts here."""
+    judged: bool
+    """Whether the loop behaves as linearised here: the motion is slow, and dry friction does not hold it."""
+
+
+class LinearPlant(NamedTuple):
+    """The linear plant at an instant, between a command and the next reading."""
+
+    point: OperatingPoint
+    transition: Array
+    """(18, 18) over a tick."""
+    input: Array
+    """(18, 3)"""
+    output: Array
+    """(3, 18) rad, angles as late as the encoders."""
+    frequency: Array
+    """(n,) rad/s"""
+    response: Complex
+    """(n, 3, 3) at these frequencies, from commands to readings."""
+
+
+@compiled
+def _set_rates(robot: Any, p: Any, motion: Any, supply: float, opening: Any, air: Any, rates: Any) -> None:
+    """Set the `rates` (12,) of `motion`, spools `opening` (3,) beyond their dead band, no dry friction.
+
+    `air` is scratch, (2, 13).
+    """
+    angle, speed = motion[:3], motion[3:6]
+    r = robot[0]
+    air[0, 6:12] = motion[6:]
+    air[0, 12] = supply
+    forces = air[0, :3]
+    for i in range(3):
+        position, moving = actuator_motion(robot, p, angle, speed, i)
+        band = p.dead_band[i]
+        spool = 0.0 if opening[i] == 0.0 else copysign(band + (1.0 - band) * abs(opening[i]), opening[i])
+        force, _ = chambers(p, i, air[0], air[1], spool, position, moving, 0.0)
+        forces[i] = force - p.viscous[i] * moving
+    wrist = forces[2] * p.lever_cos * cos(angle[2]) - forces[2] * p.lever_sin * sin(angle[2])
+    rates[:3] = speed
+    rates[3], rates[4], rates[5] = accelerations(
+        r, angle[0], angle[1], angle[2], speed[0], speed[1], speed[2], forces[0], forces[1], wrist
+    )
+    rates[6:] = air[1, 6:12]
+
+
+@compiled
+def _set_slopes(
+    robot: Any, p: Any, motion: Any, supply: float, opening: Any, by_motion: Any, by_spool: Any
+) -> None:
+    """Set the slopes of the rates by the motion (12, 12) and by the spools (12, 3)."""
+    above, below, air = np.zeros(_MOTION), np.zeros(_MOTION), np.zeros((2, 13))
+    shifted, opened = motion.copy(), opening.copy()
+    for k in range(_MOTION):
+        step = 1e-6 if k < 3 else 1e-5 if k < 6 else 10.0
+        shifted[k] = motion[k] + step
+        _set_rates(robot, p, shifted, supply, opening, air, above)
+        shifted[k] = motion[k] - step
+        _set_rates(robot, p, shifted, supply, opening, air, below)
+        shifted[k] = motion[k]
+        by_motion[:, k] = (above - below) / (2.0 * step)
+    for i in range(3):
+        opened[i] = opening[i] + _OPENED
+        _set_rates(robot, p, motion, supply, opened, air, above)
+        opened[i] = opening[i] - _OPENED
+        _set_rates(robot, p, motion, supply, opened, air, below)
+        opened[i] = opening[i]
+        by_spool[:, i] = (above - below) / (2.0 * _OPENED) / (1.0 - p.dead_band[i])
+
+
+def at_rest(plant: Plant, angle: Array) -> OperatingPoint:
+    """Return the robot held at `angle` (3,) rad by the air in its charged chambers."""
+    parameters = plant.parameters
+    supply, atmosphere = parameters.supply.pressure, parameters.supply.atmosphere
+    charged, still = _CHARGED * supply, np.zeros((1, 3))
+    load = actuator_forces(parameters, angle[None], still, still)[0]
+    pressure = np.zeros(6)
+    for i, actuator in enumerate(parameters.actuators):
+        missing = load[i] - (actuator.area_a - actuator.area_b) * (charged - atmosphere)
+        pressure[2 * i] = charged + missing / (2 * actuator.area_a)
+        pressure[2 * i + 1] = charged - missing / (2 * actuator.area_b)
+    motion = np.concatenate([angle, np.zeros(3), np.clip(pressure, 1.2 * atmosphere, supply)])
+    return OperatingPoint("at rest", motion, supply, np.zeros(3), 1.0, True)
+
+
+def linearised(plant: Plant, point: OperatingPoint) -> tuple[Array, Array]:
+    """Return the slopes of the motion's rates at `point`: (12, 12) by the motion, (12, 3) by the spools."""
+    bands = np.array([a.valve.dead_band for a in plant.parameters.actuators])
+    beyond = np.sign(point.opening) * np.maximum(np.abs(point.opening) - bands, 0.0) / (1 - bands)
+    by_motion, by_spool = np.zeros((_MOTION, _MOTION)), np.zeros((_MOTION, 3))
+    _set_slopes(plant.robot, plant.plant[0], point.motion, point.supply, beyond, by_motion, by_spool)
+    return by_motion, by_spool
+
+
+def linearize(plant: Plant, point: OperatingPoint, frequency: Array = FREQUENCIES) -> LinearPlant:
+    """Return `plant` linearised at `point`, with its responses at `frequency` (n,) rad/s."""
+    parameters = plant.parameters
+    states = _MOTION + 6
+    matrix, command = np.zeros((states, states)), np.zeros((states, 3))
+    matrix[:_MOTION, :_MOTION], matrix[:_MOTION, _MOTION : _MOTION + 3] = linearised(plant, point)
+    for i, actuator in enumerate(parameters.actuators):
+        omega, zeta = actuator.valve.natural_frequency, actuator.valve.damping_ratio
+        matrix[_MOTION + i, _MOTION + 3 + i] = 1.0
+        matrix[_MOTION + 3 + i, _MOTION + i] = -(omega**2)
+        matrix[_MOTION + 3 + i, _MOTION + 3 + i] = -2 * zeta * omega
+        command[_MOTION + 3 + i, i] = omega**2
+    whole = np.zeros((states + 3, states + 3))
+    whole[:states, :states], whole[:states, states:] = matrix, command
+    step = expm(whole * parameters.tick)
+    output = np.zeros((3, states))
+    output[:, :3], output[:, 3:6] = np.eye(3), -parameters.encoders.latency * np.eye(3)
+    transition, driven = step[:states, :states], step[:states, states:]
+    shift = np.exp(1j * frequency * parameters.tick)[:, None, None] * np.eye(states)
+    response = np.asarray(output @ np.linalg.solve(shift - transition, driven), dtype=complex)
+    return LinearPlant(point, transition, driven, output, frequency, response)
+
 
 _MIN_FREQUENCY = 2 * np.pi
 """Lowest natural frequency of a loop (rad/s)."""

@@ -31,8 +31,8 @@ FAULTS = (
     Cause.SHUT_OFF,
     *(Cause(Cause.SHOULDER_A_EXHAUST + k) for k in range(SENSORS - 1)),
 )
-"""Causes of `air_fault`, by bit; the manifold is `bench.control.monitor.manifold_monitor`'s, the lock
-`bench.control.monitor.guard_lock_monitor`'s, exhausts `bench.control.monitor.exhaust_monitor`'s."""
+"""Causes of `air_fault`, by bit; the manifold is `bench.control.monitor.venting_monitor`'s, the lock
+`bench.control.monitor.position_monitor`'s, exhausts `bench.control.monitor.venting_monitor`'s."""
 
 DEAD_AFTER = 0.1
 """Time without a plausible value after which a sensor counts as failed (s)."""

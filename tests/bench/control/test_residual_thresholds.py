@@ -15,18 +15,16 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.config import load_configuration
 from bench.control.estimate.residual_monitor import BRAKING, KINDS, LEARNING, SHOCK
-from bench.control.made_for import (
-    IGNORED_FIELDS,
-    MIN_RELEVANT_TEE_SHIFT,
-    NAMES_IN_FILES,
-    SHARE,
-    TOLERANCES,
-    LimitsFingerprint,
-)
 from bench.control.residual_thresholds import (
     ENDING,
     FROM_SETTINGS,
+    IGNORED_FIELDS,
+    MIN_RELEVANT_TEE_SHIFT,
+    NAMES_IN_FILES,
     REQUIRED,
+    SHARE,
+    TOLERANCES,
+    LimitsFingerprint,
     ModelLimits,
     limits_in_use,
     limits_path,

@@ -13,8 +13,7 @@ import pytest
 from bench.commands.cli import main
 from bench.config import load_configuration, shipped_configuration
 from bench.control.law.gain_table import Gains
-from bench.control.law.linear_loop import Estimator, least_damping, steady_estimator
-from bench.control.law.linear_plant import LinearPlant, linearize
+from bench.control.law.linear_loop import Estimator, LinearPlant, least_damping, linearize, steady_estimator
 from bench.control.settings import estimator_record
 from bench.learning.along_swing import LoopMargins, gains_along, judge, operating_points
 from bench.simulation.series import Bench, Series

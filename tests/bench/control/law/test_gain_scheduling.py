@@ -10,8 +10,7 @@ import pytest
 
 from bench.control.law.gain_scheduling import MachineGains, machine_gains, pose_grid, worst_margin
 from bench.control.law.gain_table import SHAPE, gains_at
-from bench.control.law.linear_loop import estimator_response, steady_estimator
-from bench.control.law.linear_plant import at_rest, linearize
+from bench.control.law.linear_loop import at_rest, estimator_response, linearize, steady_estimator
 from bench.control.law.pid import design_pid
 from bench.control.settings import ControlSettings, EstimatorSettings, build_controller, estimator_record
 from bench.simulation.plant_variation import WORN

@@ -11,8 +11,8 @@ import pytest
 from bench.base.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.control.estimate.air import actuator_motion
 from bench.control.estimate.estimator import ESTIMATOR_STATE
-from bench.control.monitor.exhaust_monitor import LATE, MIN_FLOW_SHARE, exhaust_cause, monitor_exhausts
 from bench.control.monitor.pressure_monitor import SWITCHING, air_fault
+from bench.control.monitor.venting_monitor import LATE, MIN_EXHAUST_SHARE, exhaust_cause, monitor_exhausts
 from bench.control.settings import holding_pressure
 from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE
 from drivers.base import CHAMBERS
@@ -77,7 +77,7 @@ POSES = [ADDRESS, ADDRESS + [-1.2, 0.0, -0.8], ADDRESS + [1.5, -0.3, 0.1]]
 
 
 @pytest.mark.parametrize("angle", POSES, ids=["address", "top", "follow-through"])
-@pytest.mark.parametrize("share", [1.0, 0.6, 1.2 * MIN_FLOW_SHARE])
+@pytest.mark.parametrize("share", [1.0, 0.6, 1.2 * MIN_EXHAUST_SHARE])
 @pytest.mark.parametrize("begin", [2e5, 8e5])
 def test_exhaust_monitor_share_above_slowest_reports_none(angle: Any, share: float, begin: float) -> None:
     assert Exhausts(share, begin, angle).run(10.0).found == []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bench.base.lifecycle import Cause, Refusal, Request, State
-from bench.control.monitor.guard_lock_monitor import UNLOCKING
+from bench.control.monitor.position_monitor import UNLOCKING
 from tests.bench.control.operating import asked, press, reach
 from tests.bench.control.puppet import Puppet
 

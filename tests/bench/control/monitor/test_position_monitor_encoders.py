@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause, State
-from bench.control.monitor.encoder_monitor import index_cause
+from bench.control.monitor.position_monitor import index_cause
 from tests.bench.control.operating import reach
 from tests.bench.control.puppet import Puppet
 

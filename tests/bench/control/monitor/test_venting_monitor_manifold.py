@@ -7,7 +7,13 @@ from typing import Any
 import pytest
 
 from bench.base.lifecycle import Cause, Refusal, Request, State
-from bench.control.monitor.manifold_monitor import LATE, MARGIN, PROOF_TIME, SHUTTING, monitor_manifold
+from bench.control.monitor.venting_monitor import (
+    LATE,
+    MANIFOLD_MARGIN,
+    PROOF_TIME,
+    SHUTTING,
+    monitor_manifold,
+)
 from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS
@@ -139,7 +145,7 @@ def test_manifold_monitor_noise_and_rare_samples_reports_nothing() -> None:
     for tick in range(3000):
         true += (ATMOSPHERE - true) * 1e-3 / 0.04
         if tick % 20 == 0:
-            held = true + (0.3 * MARGIN if tick % 40 else -0.3 * MARGIN)
+            held = true + (0.3 * MANIFOLD_MARGIN if tick % 40 else -0.3 * MANIFOLD_MARGIN)
         manifold.tick(held)
         assert manifold.found == (False, False)
 

@@ -11,7 +11,7 @@ import pytest
 from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimate.residual_monitor import move_spool
-from bench.control.monitor.spool_monitor import monitor_spools, spool_cause
+from bench.control.monitor.position_monitor import monitor_spools, spool_cause
 from bench.control.step_records import CONTROL_STATE, SPOOLS
 from drivers.base import JOINTS
 from drivers.base.compiled import new_record
