@@ -96,29 +96,31 @@ def run(
 
 
 @compiled
+def _compared_row(s: Any, time: float) -> int:
+    """Return the row of the limits that the model-based check compares at `time` (s); -1 if it does not."""
+    if s.phase == Phase.STANDING or charging(s, time) or s.reaction > Reaction.BRAKE:
+        return -1
+    return BRAKING + s.phase if s.reaction == Reaction.BRAKE else row_of(s)
+
+
+@compiled
 def note_largest(largest: Any, state: ControlState, time: float) -> None:
     """Note the deviations of the tick at `time` (s), if the model-based check compares them."""
-    s = state.control[0]
-    if s.phase != Phase.STANDING and not charging(s, time):
-        if s.reaction <= Reaction.COMPLETE:
-            velocity = s.reference_velocity
-            note_deviations(largest, state.model[0], state.estimator, velocity, row_of(s))
-        elif s.reaction == Reaction.BRAKE:
-            velocity = state.estimator[0].velocity
-            note_deviations(largest, state.model[0], state.estimator, velocity, BRAKING + s.phase)
+    s, e = state.control[0], state.estimator[0]
+    row = _compared_row(s, time)
+    if row >= 0:
+        velocity = e.velocity if s.reaction == Reaction.BRAKE else s.reference_velocity
+        note_deviations(largest, state.model[0], state.estimator, velocity, row)
 
 
 @compiled
 def note_shares_of_tick(shares: Any, limits: Any, state: ControlState, time: float) -> None:
     """Raise `shares` (5, 3) of `limits` to those of the tick at `time` (s), where the check compares them."""
-    s = state.control[0]
-    if s.phase != Phase.STANDING and not charging(s, time):
-        if s.reaction <= Reaction.COMPLETE:
-            velocity = s.reference_velocity
-            note_shares(shares, limits, state.model[0], state.estimator, velocity, row_of(s))
-        elif s.reaction == Reaction.BRAKE:
-            velocity = state.estimator[0].velocity
-            note_shares(shares, limits, state.model[0], state.estimator, velocity, BRAKING + s.phase)
+    s, e = state.control[0], state.estimator[0]
+    row = _compared_row(s, time)
+    if row >= 0:
+        velocity = e.velocity if s.reaction == Reaction.BRAKE else s.reference_velocity
+        note_shares(shares, limits, state.model[0], state.estimator, velocity, row)
 
 
 @compiled

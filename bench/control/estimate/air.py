@@ -88,6 +88,27 @@ def load_force(robot: Any, p: Any, angle: Any, i: int) -> float:
 
 
 @compiled
+def needed_torques(robot: Any, e: Any) -> tuple[tuple[float, float, float], float]:
+    """Return the torques (N m) of the estimated motion by Kane's equations, and the right arm's lever (m)."""
+    m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(
+        robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
+    )
+    a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
+    first = m11 * a1 + m12 * a2 + m13 * a3 + h1
+    second = m12 * a1 + m22 * a2 + m23 * a3 + h2
+    return (first, second, m13 * a1 + m23 * a2 + m33 * a3 + h3), lever
+
+
+@compiled
+def move_spool(m: Any, p: Any, wanted: float, i: int, halves: int) -> None:
+    """Move spool `i` of `m` by some half substeps, exactly for an opening `wanted` held over them."""
+    for _ in range(halves):
+        offset, rate = m.spool[i] - wanted, m.spool_speed[i]
+        m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
+        m.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
+
+
+@compiled
 def observe_air(
     a: Any,
     robot: Any,
@@ -125,10 +146,7 @@ def observe_air(
         wanted = applied[i] - p.centre[i]
         x, y = 6 + 2 * i, 7 + 2 * i
         for n in range(count):
-            for _ in range(2):  # exact for a command held over the tick
-                offset, rate = a.spool[i] - wanted, a.spool_speed[i]
-                a.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
-                a.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
+            move_spool(a, p, wanted, i, 2)
             back = position - (count - n - 0.5) * part * speed
             chambers(p, i, a.pressure, a.rate, a.spool[i], back, speed, vent)
             a.pressure[x] = max(a.pressure[x] + part * a.rate[x], 0.1 * p.atmosphere)
@@ -151,15 +169,7 @@ def _take_sensors(a: Any, r: Any, step: float) -> None:
 @compiled
 def _take_motion(a: Any, robot: Any, p: Any, e: Any, r: Any, step: float, free: bool) -> None:
     """Draw chambers without a sensor to the force that the estimated motion needs."""
-    m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(
-        robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
-    )
-    a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
-    needed = (
-        m11 * a1 + m12 * a2 + m13 * a3 + h1,
-        m12 * a1 + m22 * a2 + m23 * a3 + h2,
-        m13 * a1 + m23 * a2 + m33 * a3 + h3,
-    )
+    needed, lever = needed_torques(robot, e)
     _, wrist_lever = wrist_cylinder(p, sin(e.angle[2]), cos(e.angle[2]))
     for i in range(3):
         x, y = 6 + 2 * i, 7 + 2 * i

@@ -28,10 +28,9 @@ import numpy as np
 
 from bench.base.lifecycle import Cause, Phase, State
 from bench.control.envelope import joint_coordinates
-from bench.control.estimate.air import actuator_motion
+from bench.control.estimate.air import actuator_force, actuator_motion, move_spool, needed_torques
 from drivers.base.compiled import compiled, fields
 from sim.dynamics import chambers, wrist_cylinder
-from sim.kane import kane_terms
 
 PHASES = len(Phase)
 BRAKING = PHASES
@@ -132,7 +131,7 @@ def observe(
     m.settled = m.settled + step if fresh else 0.0
     m.air[12] = r.supply_pressure
     for i in range(3):
-        move_spool(m, p, applied[i] - p.centre[i], i)
+        move_spool(m, p, applied[i] - p.centre[i], i, 2 * p.substeps)
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         a, b = 2 * i, 2 * i + 1
         # How much open vents pass is not known well enough to judge chambers by it.
@@ -179,15 +178,6 @@ def _is_shown(m: Any, r: Any, k: int) -> bool:
 
 
 @compiled
-def move_spool(m: Any, p: Any, wanted: float, i: int) -> None:
-    """Move spool `i` of `m` by a tick, exactly for an opening `wanted` held over it."""
-    for _ in range(2 * p.substeps):
-        offset, rate = m.spool[i] - wanted, m.spool_speed[i]
-        m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
-        m.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
-
-
-@compiled
 def _note_blows(m: Any, robot: Any, p: Any, e: Any, reference: Any, step: float) -> None:
     """Notice joints, and references, that come to their cushion at speed."""
     m.blow = max(m.blow - step, 0.0) if step > 0.0 else m.blow
@@ -223,23 +213,12 @@ def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, indexed: Any, step: flo
     if indexed[0] == 0 or indexed[1] == 0 or indexed[2] == 0:
         m.effort[0] = m.effort[1] = m.effort[2] = 0.0
         return
-    u1, u2, u3 = e.velocity[0], e.velocity[1], e.velocity[2]
-    a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
-    m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(
-        robot[0], e.angle[0], e.angle[1], e.angle[2], u1, u2, u3
-    )
-    needed = (
-        m11 * a1 + m12 * a2 + m13 * a3 + h1,
-        m12 * a1 + m22 * a2 + m23 * a3 + h2,
-        m13 * a1 + m23 * a2 + m33 * a3 + h3,
-    )
+    needed, lever = needed_torques(robot, e)
     _, wrist_lever = wrist_cylinder(p, sin(e.angle[2]), cos(e.angle[2]))
     for i in range(3):
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         to_joint = 1.0 if i == 0 else lever if i == 1 else wrist_lever
-        force = (m.air[6 + 2 * i] - p.atmosphere) * p.area_a[i] - (
-            m.air[7 + 2 * i] - p.atmosphere
-        ) * p.area_b[i]
+        force = actuator_force(p, m.air, i)
         stop = position if i != 2 else e.angle[2]
         residual = needed[i] - (force - p.viscous[i] * speed) * to_joint
         if m.blow > 0.0 or not (p.lower[i] + _CLOSE < stop < p.upper[i] - _CLOSE and np.isfinite(residual)):

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Cause, Phase
-from bench.control.estimate.residual_monitor import move_spool
+from bench.control.estimate.air import move_spool
 from drivers.base.compiled import compiled
 
 AT_REST = 0.01
@@ -79,7 +79,7 @@ def monitor_spools(s: Any, p: Any, plant: Any, readings: Any, step: float) -> No
         if spools.fitted[i] == 0:
             continue
         for _ in range(ticks):
-            move_spool(spools, plant, s.applied[i] - plant.centre[i], i)
+            move_spool(spools, plant, s.applied[i] - plant.centre[i], i, 2 * plant.substeps)
         low = high = spools.spool[i]
         for k in range(RECENT - 1, 0, -1):
             spools.recent[k, i] = spools.recent[k - 1, i]

@@ -10,7 +10,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.envelope import ENVELOPE_PARAMETERS
-from bench.control.estimate.residual_monitor import move_spool
+from bench.control.estimate.air import move_spool
 from bench.control.monitor.position_monitor import monitor_spools, spool_cause
 from bench.control.step_records import CONTROL_STATE, SPOOLS
 from drivers.base import JOINTS
@@ -57,7 +57,13 @@ class Valves:
         self.control["applied"] = command
         for i in range(3):
             held = command[i] if np.isnan(self.stuck[i]) else self.stuck[i]
-            move_spool(self.true[0], self.truth[0], held - self.truth["centre"][0, i], i)
+            move_spool(
+                self.true[0],
+                self.truth[0],
+                held - self.truth["centre"][0, i],
+                i,
+                2 * int(self.truth["substeps"][0]),
+            )
         self.past = [*self.past[1:], self.true["spool"][0].copy()]
         self.readings["spool_position"] = self.past[0] if shown is None else shown
         monitor_spools(self.control[0], self.limits[0], self.model[0], self.readings, TICK)
