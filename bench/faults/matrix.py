@@ -24,9 +24,7 @@ from bench.faults.instants import (
     stopped_instants,
 )
 from bench.faults.verdict import CaseOutcome
-from bench.simulation.code_version import code_digest
-from bench.simulation.sweep import Engine, sweep
-from bench.simulation.sweep_store import SweepStore
+from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.faults import sort_of

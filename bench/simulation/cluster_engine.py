@@ -21,8 +21,7 @@ from uuid import uuid4
 
 from bench.base.address import IdentityFiles
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.simulation.code_version import code_digest
-from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Study, prepare, run_batch
+from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Study, code_digest, prepare, run_batch
 
 CONNECT_TIMEOUT = 10.0
 """Timeout of the scheduler, and of a first worker (s)."""

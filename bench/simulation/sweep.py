@@ -1,19 +1,41 @@
 """Sweeps: one pure function of many cases, on any engine, with results in the order of the cases.
 
-A study is the work on each case. An engine runs batches of cases: this process
-(`bench.simulation.local_engine.InProcess`), processes of this machine (`LocalProcesses`), or a cluster
-(`bench.simulation.cluster_engine`). Results are the same bit for bit on all of them, as seeds come from the
-case and nothing of one case reaches another. With a store, an interrupted sweep resumes where it stopped.
+A study is the work on each case. An engine runs batches of cases: this process (`InProcess`), processes of
+this machine (`LocalProcesses`), or a cluster (`bench.simulation.cluster_engine`). Results are the same bit
+for bit on all of them, as seeds come from the case and nothing of one case reaches another. With a store an
+interrupted sweep resumes where it stopped; results of other code are neither reused nor mixed.
+
+Linear algebra has one thread. The matrices of swings and campaigns are small: several processes with a BLAS
+thread per core each take two to five times the processor time. And a product summed by two threads is rounded
+otherwise than by one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+import ctypes
+import json
+import os
+import signal
+import sys
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from hashlib import sha256
+from importlib.metadata import version
+from multiprocessing import current_process, get_context
+from pathlib import Path
 from time import perf_counter
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-from bench.simulation.one_blas_thread import one_blas_thread
-from bench.simulation.sweep_store import SweepStore
+import numpy.linalg  # noqa: F401 - a limit reaches libraries that are loaded
+import scipy.linalg  # noqa: F401
+from threadpoolctl import threadpool_limits
+
+from bench.base.errors import BenchError, ExitCode
+from drivers.base.compile_report import announce_compilation
+from drivers.base.machine_code import imported_sources
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")
@@ -24,6 +46,13 @@ BATCH_TIME = 4.0
 """Target duration of a batch, s: long compared with handing it out, short compared with a sweep."""
 IN_FLIGHT = 2
 """Batches handed out for each worker, so that none waits for its next one."""
+_PR_SET_PDEATHSIG = 1
+_LOST_IN_A_ROW = 3
+"""Losses of workers without a result in between after which a sweep gives up."""
+_SCHEMA = 2
+_VARIABLE = "OPENBLAS_NUM_THREADS"
+_TOP = Path(__file__).resolve().parents[2]
+_PACKAGES = ("numba", "numpy", "scipy")
 
 
 class Study(Protocol[Case_contra, Result_co]):
@@ -169,3 +198,210 @@ class _Batches(Generic[Case]):
         self._known += len(done.results)
         self._duration += done.duration
         return self._out.pop(done.number)
+
+
+# Stored results --------------------------------------------------------------------------------------
+
+
+class SweepStore(Generic[Result]):
+    """Results of one sweep by case, and the time that they took."""
+
+    def __init__(
+        self,
+        path: Path,
+        digest: str,
+        encode: Callable[[Result], dict[str, Any]],
+        decode: Callable[[dict[str, Any]], Result],
+    ) -> None:
+        """Read the stored results; a file of another `digest` is replaced, a torn last line dropped.
+
+        `digest` is of all that results depend on. `encode` makes JSON of a result, `decode` reads it.
+        """
+        self.path = path
+        self._encode = encode
+        self.results: dict[str, Result] = {}
+        self.seconds = 0.0
+        """Time that the results took over all runs, s."""
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        header = {"schema": _SCHEMA, "digest": digest}
+        if not lines or _parsed(lines[0]) != header:
+            lines = [json.dumps(header)]
+        kept = lines[:1]
+        for line in lines[1:]:
+            record = _parsed(line)
+            if "seconds" in record:
+                self.seconds += float(record["seconds"])
+                kept.append(line)
+            elif record:
+                self.results[record["case"]] = decode(record["result"])
+                kept.append(line)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("\n".join(kept) + "\n")
+
+    def add(self, results: Mapping[str, Result]) -> None:
+        """Store `results` by case."""
+        self.results.update(results)
+        lines = [
+            json.dumps({"case": case, "result": self._encode(result)}) for case, result in results.items()
+        ]
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write("".join(f"{line}\n" for line in lines))
+
+    def took(self, seconds: float) -> None:
+        """Store the duration of a run."""
+        self.seconds += seconds
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"seconds": round(seconds, 1)}) + "\n")
+
+
+def _parsed(line: str) -> dict[str, Any]:
+    try:
+        record = json.loads(line)
+    except ValueError:
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def code_digest(*modules: str) -> str:
+    """Return the digest (16 hex digits) of `modules` of this installation and all they import.
+
+    It also covers the packages that compute: another NumPy may round otherwise.
+    """
+    packages = " ".join(f"{name} {version(name)}" for name in _PACKAGES)
+    digest = sha256(f"python {sys.version_info[:2]} {packages}".encode())
+    for path, source in imported_sources(_TOP, modules).items():
+        digest.update(f"\n{path} {len(source)}\n".encode())
+        digest.update(source)
+    return digest.hexdigest()[:16]
+
+
+# Engines of this machine -----------------------------------------------------------------------------
+
+
+@contextmanager
+def one_blas_thread_in_children() -> Iterator[None]:
+    """Give one BLAS thread to processes started in the block, and to libraries loaded in it."""
+    before = os.environ.get(_VARIABLE)
+    os.environ[_VARIABLE] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_VARIABLE]
+        else:
+            os.environ[_VARIABLE] = before
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Run the block with one thread of each BLAS: NumPy's, SciPy's, and those of libraries loaded in it."""
+    with one_blas_thread_in_children(), threadpool_limits(1, "blas"):
+        yield
+
+
+class InProcess:
+    """Runs batches in this process, one after the other."""
+
+    def slots(self) -> int:
+        """Return 1."""
+        return 1
+
+    def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
+        """Yield the batches in their order."""
+        function: Callable[[Any], Any] | None = None
+        for batch in batches:
+            function = function or prepare(study)
+            yield run_batch(function, batch)
+
+
+class LocalProcesses:
+    """Runs batches in processes of this machine; those of a process that dies are run again."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    def slots(self) -> int:
+        """Return the number of processes."""
+        return self._count
+
+    def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
+        """Yield batches as they are done.
+
+        Raises:
+            BenchError: processes die again and again.
+        """
+        again: deque[CaseBatch] = deque()
+        lost = 0
+        while lost < _LOST_IN_A_ROW:
+            waiting: dict[Future[BatchDone], CaseBatch] = {}
+            with ProcessPoolExecutor(self._count, get_context("spawn"), _begin, (os.getpid(), study)) as pool:
+                try:
+                    for done in _results(pool, waiting, again, batches, IN_FLIGHT * self._count):
+                        lost = 0
+                        yield done
+                    return
+                except BrokenProcessPool:
+                    lost += 1
+            again.extend(waiting.values())
+        fault = BenchError(
+            f"sweep with {self._count} processes",
+            f"processes that died {lost} times in a row",
+            "processes that run their cases",
+            "Look for lack of memory in the system's log; try --processes 1. Stored cases are kept.",
+        )
+        fault.exit_code = ExitCode.DEVICE
+        raise fault
+
+
+def local_engine(processes: int = 0, cases: int = 2) -> Engine:
+    """Return the engine for so many `cases` on this machine: `processes` or, with 0, one a core."""
+    count = min(processes or len(os.sched_getaffinity(0)), cases)
+    return InProcess() if count <= 1 else LocalProcesses(count)
+
+
+def _results(
+    pool: ProcessPoolExecutor,
+    waiting: dict[Future[BatchDone], CaseBatch],
+    again: deque[CaseBatch],
+    batches: Iterator[CaseBatch],
+    in_flight: int,
+) -> Iterator[BatchDone]:
+    """Yield the results of `again` and `batches`; `waiting` holds the batches handed out and not yielded."""
+    while True:
+        while len(waiting) < in_flight:
+            batch = again.popleft() if again else next(batches, None)
+            if batch is None:
+                break
+            try:
+                with one_blas_thread_in_children():  # a library makes threads for all cores when it is loaded
+                    waiting[pool.submit(_run, batch)] = batch
+            except BrokenProcessPool:
+                again.append(batch)
+                raise
+        if not waiting:
+            return
+        for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+            done = future.result()
+            del waiting[future]
+            yield done
+
+
+_function: Callable[[Any], Any] | None = None
+"""Function of a case, in a worker process."""
+
+
+def _begin(parent: int, study: Study[Any, Any]) -> None:
+    # Without it a pool's workers wait for ever after a signal has ended their parent.
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
+    if not current_process().name.endswith("-1"):  # all workers compile the same: one reports it
+        announce_compilation(str)
+    global _function  # noqa: PLW0603 - the only place where a pool's worker can keep its prepared function
+    _function = prepare(study)
+
+
+def _run(batch: CaseBatch) -> BatchDone:
+    if _function is None:
+        raise RuntimeError("worker not initialised")
+    return run_batch(_function, batch)

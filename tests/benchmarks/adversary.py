@@ -21,8 +21,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 
 from bench.base.lifecycle import State
-from bench.simulation.code_version import code_digest
-from bench.simulation.sweep_store import SweepStore
+from bench.simulation.sweep import SweepStore, code_digest
 from tests.adversary.drawing import improvise
 from tests.adversary.shrinking import kind_of, shrink
 from tests.benchmarks.row import Row

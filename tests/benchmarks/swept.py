@@ -9,8 +9,7 @@ from typing import TypeVar
 from bench.commands.common.command import sweep_engine
 from bench.commands.common.output import progress_bar
 from bench.config import Configuration, load_configuration
-from bench.simulation.sweep import Study, sweep
-from bench.simulation.sweep_store import SweepStore
+from bench.simulation.sweep import Study, SweepStore, sweep
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")

@@ -28,7 +28,7 @@ from bench.faults.instants import ACCESS, START, Instant, instants_of
 from bench.faults.matrix import FaultStudy, MatrixPlan, instants_for, matrix_store, plan_matrix, run_matrix
 from bench.faults.summary import PHASES, compare, summarise, summary_text
 from bench.faults.verdict import CaseOutcome
-from bench.simulation.local_engine import InProcess
+from bench.simulation.sweep import InProcess
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.faults import KINDS, SIGNALS, sort_of

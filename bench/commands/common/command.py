@@ -178,7 +178,7 @@ def sweep_engine(configuration: Configuration, processes: int, cluster: str, cas
         BenchError: the cluster is not there, or a certificate for it.
     """
     from bench.base.address import identity_files
-    from bench.simulation.local_engine import local_engine
+    from bench.simulation.sweep import local_engine
 
     if not cluster:
         yield local_engine(processes, cases)

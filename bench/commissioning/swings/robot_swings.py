@@ -32,8 +32,8 @@ from bench.control.settings import pid_record
 from bench.design.designer import DesignFailed, SwingDemand, design_swing
 from bench.design.golfer_tracking import demand_near
 from bench.design.threshold_generation import DRAWS, make_limits
-from bench.simulation.local_engine import local_engine
 from bench.simulation.series import Bench, Series
+from bench.simulation.sweep import local_engine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, as_written, load_profile
 

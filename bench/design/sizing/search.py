@@ -23,9 +23,7 @@ from bench.design.sizing.study import (
     plan_of,
     swing_of,
 )
-from bench.simulation.code_version import code_digest
-from bench.simulation.sweep import Engine, sweep
-from bench.simulation.sweep_store import SweepStore
+from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep
 
 _SMALL_FEED = 2.6e-7
 """Conductance of the three valves up to which the shipped feed and manifold serve, m3/(s Pa)."""

@@ -12,7 +12,7 @@ from bench.config import load_configuration
 from bench.design import highest_speed as module
 from bench.design.designer import DesignFailed, SwingDemand
 from bench.design.highest_speed import DownswingStudy, highest_speed
-from bench.simulation.local_engine import InProcess
+from bench.simulation.sweep import InProcess
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 

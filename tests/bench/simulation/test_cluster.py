@@ -17,9 +17,7 @@ from bench.config import load_configuration
 from bench.network.certificates import make_authority, make_certificate, write_identity
 from bench.simulation import cluster_engine
 from bench.simulation.cluster_engine import SharedStudy, connected, security_of
-from bench.simulation.local_engine import InProcess
-from bench.simulation.sweep import sweep
-from bench.simulation.sweep_store import SweepStore
+from bench.simulation.sweep import InProcess, SweepStore, sweep
 from tests.bench.simulation.studies import BlasThreads, Draws, Slow, as_dict, as_float
 from tests.running_cluster import killed_workers, running_cluster
 
@@ -66,7 +64,7 @@ def test_cluster_sweep_lost_scheduler_ends_and_resumes_from_store(tmp_path: Path
             if 5 <= done < len(CASES):
                 cluster.kill()
 
-        with pytest.raises(BenchError, match="stored cases are not run again") as caught:
+        with pytest.raises(BenchError, match="stored cases are skipped") as caught:
             sweep(Slow(0.2), CASES, engine, store=store, progress=end)
     assert caught.value.exit_code is ExitCode.NO_ANSWER
     store, done = SweepStore(path, "d", as_dict, as_float), list[int]()

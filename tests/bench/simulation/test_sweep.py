@@ -13,10 +13,18 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from bench.base.errors import BenchError, Refused
-from bench.simulation.local_engine import InProcess, LocalProcesses, local_engine
-from bench.simulation.one_blas_thread import one_blas_thread_in_children
-from bench.simulation.sweep import BATCH_TIME, BatchDone, CaseBatch, Study, sweep
-from bench.simulation.sweep_store import SweepStore
+from bench.simulation.sweep import (
+    BATCH_TIME,
+    BatchDone,
+    CaseBatch,
+    InProcess,
+    LocalProcesses,
+    Study,
+    SweepStore,
+    local_engine,
+    one_blas_thread_in_children,
+    sweep,
+)
 from tests.bench.simulation.studies import BlasThreads, Draws, as_dict, as_float
 
 

@@ -23,7 +23,7 @@ from bench.design.sizing.study import (
     plan_of,
     swing_of,
 )
-from bench.simulation.local_engine import InProcess
+from bench.simulation.sweep import InProcess
 
 PARTS = shipped_catalogue()
 ASKED: list[str] = []
