@@ -42,7 +42,7 @@ from bench.design.refine import NEAR, UNITS, NotReached, arrival_errors, learned
 from bench.design.requirements import load_casadi
 from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, ShootingTrial
 from bench.design.static_checks import profile_faults
-from bench.simulation.loads import stop_shares
+from bench.simulation.safety import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench
 from bench.swing.profile import Profile, as_written
 from sim.impact import in_plane_error

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bench.control.law.gain_table import DERIVATIVE, PROPORTIONAL
 from bench.control.moves.braking import brake_opening
 from bench.control.settings import ControlSettings
-from bench.simulation.loads import reset_peaks
+from bench.simulation.safety import reset_peaks
 from drivers.base import PASSIVE
 from drivers.base.compiled import compiled, new_record
 from drivers.base.records import pack_command

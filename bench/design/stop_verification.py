@@ -18,9 +18,9 @@ import numpy as np
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.faults import Fault, own_records

@@ -19,9 +19,9 @@ from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
 from bench.faults.next_swing import next_swing
 from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import SafetyLimits
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.profile import Profile
 from sim.driver import hanging_pose
 from sim.faults import own_records

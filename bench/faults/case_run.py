@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from bench.base.lifecycle import Answer, Phase, Refusal, Request, State
 from bench.loop.loop import Cycles
-from bench.simulation.engine import LockstepEngine
-from bench.simulation.loads import Loads
-from bench.simulation.safety import RunEnd
+from bench.simulation.safety import Loads, RunEnd
+from bench.simulation.swing_operator import LockstepEngine
 from sim.plant import Plant
 
 _LATCHED = (State.FAULT, State.ESTOP)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bench.base.lifecycle import REFUSAL_TEXT, Answer, Cause, Refusal, Request, State
-from bench.simulation.engine import LockstepEngine
+from bench.simulation.swing_operator import LockstepEngine
 
 _LOOK = 100
 """Ticks between two looks."""

@@ -13,9 +13,8 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.control.estimate.residual_monitor import KINDS, LEARNING
 from bench.control.step_records import ControlParameters
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.swing_operator import RETURN_TIMEOUT
+from bench.simulation.swing_operator import RETURN_TIMEOUT, LockstepEngine
 from bench.swing.profile import PHASES, Profile
 from sim.driver import hanging_pose
 from sim.plant import PlantParameters, build_plant

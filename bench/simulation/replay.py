@@ -41,89 +41,18 @@ from bench.records.telemetry.cycle_record import FIELDS, Field
 from bench.records.telemetry.swing_metadata import read_profile, since
 from bench.simulation.lockstep import note_shares_of_tick
 from drivers.base import JOINTS, Command, DriverError, Readings
+from drivers.base.records import TRUTH
 from sim.plant import PlantParameters
 
 TOLERANCE = 1e-9
 
-INPUTS = frozenset(
-    {
-        "tick",
-        "time",
-        "request",
-        "request_number",
-        "lease_held",
-        "support_ready",
-        "supervisor_alive",
-        "device_operational",
-        "encoder_count",
-        "encoder_valid",
-        "vent_open",
-        "shut_off_open",
-        "encoder_age",
-        "encoder_time",
-        "encoder_indexed",
-        "emergency_stop_clear",
-        "guard_closed",
-        "guard_locked",
-        "ball_present",
-        "local_reset",
-        "supply_pressure",
-        "chamber_pressure",
-        "spool_position",
-    }
-)
+_PERMISSIONS = ("lease_held", "support_ready", "supervisor_alive", "device_operational")
+INPUTS = frozenset({*Readings._fields, "tick", "request", "request_number", *_PERMISSIONS})
 """Fields that the cycle takes from the record."""
-
-DECIDED = frozenset(
-    {
-        "measured_step",
-        "state",
-        "answer",
-        "refusal",
-        "homed",
-        "vented",
-        "air_fault",
-        "phase",
-        "reaction",
-        "cause",
-        "latest_cause",
-        "angle",
-        "velocity",
-        "angle_variance",
-        "reference_angle",
-        "reference_velocity",
-        "proportional",
-        "integral",
-        "derivative",
-        "feedforward",
-        "desired_valve",
-        "applied_valve",
-        "supply_enable",
-        "exhaust_closed",
-        "guard_lock",
-        "beacon",
-        "tee",
-        "head_position",
-        "head_orientation",
-        "head_speed",
-    }
-)
-"""Fields that the cycle decides."""
-
-MEASURED = frozenset(
-    {
-        "wake_latency",
-        "work_time",
-        "plant_angle",
-        "plant_velocity",
-        "plant_pressure",
-        "plant_effort",
-        "plant_head_position",
-        "plant_head_speed",
-    }
-)
+MEASURED = frozenset({"wake_latency", "work_time", *(TRUTH.names or ())})
 """The machine's timing and the plant's truth, which the controller does not use."""
-
+DECIDED = frozenset(field.name for field in FIELDS) - INPUTS - MEASURED
+"""Fields that the cycle decides."""
 APPLIED = frozenset({"applied_valve", "supply_enable", "exhaust_closed", "guard_lock", "beacon", "tee"})
 """Fields of DECIDED that a passive device sets, not the controller."""
 
@@ -269,12 +198,8 @@ def settings_of(metadata: Mapping[str, Any], location: str) -> tuple[dict[str, A
             "the bench's settings",
             "Replay a record of this version.",
         )
-    file, faults, built, defaults = (
-        Path(f"{location}: configuration"),
-        list[BenchError](),
-        dict[str, Any](),
-        list[str](),
-    )
+    file, faults = Path(f"{location}: configuration"), list[BenchError]()
+    built, defaults = dict[str, Any](), list[str]()
     for name, kind in _SETTINGS.items():
         given = configuration.get(name, {})
         recorded = as_tree({name: given if isinstance(given, dict) else {}}, file, faults)
@@ -367,9 +292,8 @@ def run_replay(start: ReplayStart, watch: Callable[[ControlState, int, float], N
     cycle = Cycle(_Recorded(inputs), start.parameters, kept, name="replay")
     cycle.state = start.state
     control = start.state.control
-    permissions = ("lease_held", "support_ready", "supervisor_alive", "device_operational")
     for k, now in enumerate(inputs):
-        for name in permissions:
+        for name in _PERMISSIONS:
             control[name] = now[name]
         control["tick"] = now["tick"] - 1  # ticks that the loop missed stay missed
         if now["request"]:

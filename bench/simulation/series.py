@@ -19,10 +19,9 @@ from bench.control.settings import (
     with_tables_of,
 )
 from bench.control.step_records import ControlParameters
-from bench.simulation.engine import LockstepEngine
-from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.swing_operator import RETURN_TIMEOUT, STANDSTILL_TIMEOUT, joined
+from bench.simulation.safety import Loads
+from bench.simulation.swing_operator import RETURN_TIMEOUT, STANDSTILL_TIMEOUT, LockstepEngine, joined
 from bench.swing.profile import Profile
 from sim.faults import Fault
 from sim.impact import Delivery

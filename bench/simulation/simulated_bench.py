@@ -23,11 +23,9 @@ from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
 from bench.records.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry, versions
-from bench.simulation.engine import LockstepEngine
-from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
-from bench.simulation.swing_operator import RETURN_TIMEOUT, never
+from bench.simulation.safety import Loads, RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.swing_operator import RETURN_TIMEOUT, LockstepEngine, never
 from bench.swing.profile import Profile
 from drivers.base import Launch
 from drivers.base.compiled import new_record

@@ -1,12 +1,14 @@
 """Operates a bench as a person does: arms it, waits for its air, swings, brings it to rest.
 
-The bench is a simulated one (`bench.simulation.engine`), or the cycle around the robot itself.
+The bench is the cycle around the robot itself, or a simulated one whose plant, loads and tee are at hand:
+`simulate`, the series that learning and tuning swing, `profile check`, the fault matrix and the designer's
+rehearsals run on `LockstepEngine`; `bench.simulation.safety` judges the end of a run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,8 @@ from bench.control.monitor.pressure_monitor import chambers_show_pressure
 from bench.control.states import near_address
 from bench.loop.loop import Cycles, Stepper, bring_to_rest
 from bench.records.telemetry.cycle_record import CYCLE
+from bench.simulation.lockstep import Lockstep
+from bench.simulation.safety import Loads, loads_of, reset_peaks
 
 ARMING_TIMEOUT = 30.0
 """Timeout of arming (s); the bench's own time-outs are shorter."""
@@ -217,3 +221,52 @@ def joined(parts: list[Cycles]) -> Cycles:
     """Return the records of `parts`, one after another."""
     # As bytes: numpy joins records field by field and leaves their padding to chance.
     return np.concatenate([np.zeros(0, np.uint8), *(part.view(np.uint8) for part in parts)]).view(CYCLE)
+
+
+class Mark(NamedTuple):
+    """An instant of a lock-step bench, to go back to."""
+
+    arrays: tuple[NDArray[Any], ...]
+    tick: int
+
+
+class LockstepEngine(SwingOperator[Lockstep]):
+    """A simulated bench that is switched on: it can be copied, and taken back to an earlier instant."""
+
+    @property
+    def plant_state(self) -> NDArray[Any]:
+        """State of the plant, one PLANT_STATE record."""
+        return self.stepper.plant_state
+
+    def reset_peaks(self) -> None:
+        """Reset the loads."""
+        reset_peaks(self.plant_state)
+
+    def loads(self) -> Loads:
+        """Return the loads since `reset_peaks`."""
+        return loads_of(self.plant_state, self.stepper.plant.parameters)
+
+    def tee_up(self, *, ball: bool) -> None:
+        """Lower the tee for a tick, then raise it with a `ball` or leave it down."""
+        self.control["tee"] = False
+        self.advance(1)
+        self.plant_state["ball_present"] = self.plant_state["struck"] = False
+        self.control["tee"] = ball
+
+    def copy(self) -> LockstepEngine:
+        """Return an independent bench that continues from here, without faults and records."""
+        return LockstepEngine(self.stepper.copy(), look=self._look, stop=self.stop, name=self.name)
+
+    def mark(self) -> Mark:
+        """Return the present instant."""
+        return Mark(tuple(array.copy() for array in self._memory()), self.stepper.tick)
+
+    def go_back(self, mark: Mark) -> None:
+        """Go back to the instant `mark`."""
+        for array, then in zip(self._memory(), mark.arrays, strict=True):
+            array[...] = then
+        self.stepper.tick = mark.tick
+
+    def _memory(self) -> list[NDArray[Any]]:
+        stepper = self.stepper
+        return [stepper.plant_state, stepper.readings, stepper.command, *stepper.state]

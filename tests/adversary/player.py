@@ -16,8 +16,8 @@ from bench.base.lifecycle import Answer, Phase, Refusal, Request, State
 from bench.config import load_configuration
 from bench.control.settings import build_controller
 from bench.control.step_records import ControlParameters, new_control_state
-from bench.simulation.loads import Loads, loads_of
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.safety import Loads, loads_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.driver import hanging_pose, joint_travel

@@ -25,8 +25,7 @@ from bench.base.lifecycle import (
     State,
 )
 from bench.control.step_records import ControlParameters
-from bench.simulation.loads import Loads
-from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.safety import Loads, RunEnd, SafetyLimits, unsafe_reasons
 from sim.faults import Fault, sort_of
 from tests.adversary.story import Setup
 

@@ -18,8 +18,7 @@ from rich.table import Table
 
 from bench.base.lifecycle import Cause, Phase, Reaction
 from bench.config import Configuration, load_configuration
-from bench.simulation.loads import Loads
-from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.safety import Loads, RunEnd, SafetyLimits, unsafe_reasons
 from tests.benchmarks.row import Row
 from tests.drivers.canopen.in_step import PERIOD, Wire
 from tests.drivers.canopen.swing_in_step import LONGEST, SwingBench, on_canopen

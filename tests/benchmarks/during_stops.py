@@ -30,10 +30,10 @@ from bench.config import Configuration, load_configuration, shipped_configuratio
 from bench.control.settings import build_controller
 from bench.faults.case import Workbench
 from bench.faults.instants import Instant, instants_of
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import healthy_plant
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from drivers.base import JOINTS

@@ -27,9 +27,9 @@ from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.config import load_configuration, shipped_configuration
 from bench.control.settings import build_controller
 from bench.control.step_records import ControlParameters, new_control_state
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import HealthyRun, healthy_plant, healthy_run
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose

@@ -25,7 +25,7 @@ from rich.table import Table
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Phase, State
 from bench.network.client import CommandRefused
-from bench.simulation.loads import stop_shares
+from bench.simulation.safety import stop_shares
 from drivers.base.shared_memory import SharedRecord
 from sim.exchange import PLANT_REPORT, REPORT_FILE
 from tests.benchmarks.row import Row

@@ -13,8 +13,8 @@ from bench.base.clock import FreeClock
 from bench.base.lifecycle import Cause, Phase, Request
 from bench.control.settings import build_controller
 from bench.loop.loop import Cycle, CycleArray
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.profile import load_profile
 from sim.driver import SimDriver, hanging_pose
 from sim.faults import Fault

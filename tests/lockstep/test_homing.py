@@ -17,10 +17,9 @@ from bench.config import load_configuration
 from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.settings import SIMULATED, EnvelopeSettings, HomingSettings, build_controller
 from bench.control.step_records import new_control_state
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import unknown_plant
-from bench.simulation.swing_operator import SETTLING_TIMEOUT
+from bench.simulation.swing_operator import SETTLING_TIMEOUT, LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose, joint_travel

@@ -9,8 +9,8 @@ import pytest
 
 from bench.base.lifecycle import Cause, Request
 from bench.control.settings import build_controller
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.faults import Fault, own_records

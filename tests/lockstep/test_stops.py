@@ -14,9 +14,8 @@ import pytest
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Request
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.design.stop_verification import TRIALS, SwingCheck, TrialOutcome
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.swing_operator import SETTLING_TIMEOUT
+from bench.simulation.swing_operator import SETTLING_TIMEOUT, LockstepEngine
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
 from tests.sampling import release_except

@@ -28,7 +28,7 @@ from bench.calibration.calibration import (
 from bench.config import Configuration, database_url, load_configuration
 from bench.network.client import BenchClient, CommandRefused
 from bench.records.telemetry.ring import RingReader
-from bench.simulation.loads import pressure_shares, stop_shares
+from bench.simulation.safety import pressure_shares, stop_shares
 from bench.store.database import open_database
 from bench.supervisor.child_process import RING_FILE, TIMING_FILE
 from bench.supervisor.ownership import bench_folder

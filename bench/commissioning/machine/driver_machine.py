@@ -31,7 +31,7 @@ from bench.commissioning.machine.machine import (
 )
 from bench.commissioning.machine.step import MachineFault
 from bench.loop.loop import record_reading
-from bench.simulation.loads import Loads, loads_of
+from bench.simulation.safety import Loads, loads_of
 from bench.simulation.swing_operator import never
 from drivers.base import ABSENT, CHAMBERS, JOINTS, PASSIVE, Command, Driver, Readings
 from drivers.base.compiled import new_record

@@ -33,7 +33,7 @@ from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segme
 from bench.commissioning.machine.machine_server import MachineServer
 from bench.commissioning.machine.step import Mark
 from bench.config import Configuration
-from bench.simulation.loads import Loads
+from bench.simulation.safety import Loads
 from bench.simulation.series import Bench, SeriesSwing
 from bench.supervisor.child import Child
 from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure

@@ -13,7 +13,7 @@ from bench.base.errors import Refused
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment, Until
 from bench.config import Configuration
 from bench.control.measured_plant import value_at, with_values
-from bench.simulation.loads import Loads
+from bench.simulation.safety import Loads
 from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
 from drivers.base import CHAMBERS, JOINTS, Triple

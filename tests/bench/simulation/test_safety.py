@@ -9,8 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.simulation.loads import Loads, loads_of, pressure_shares, reset_peaks, stop_shares
-from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.safety import (
+    Loads,
+    RunEnd,
+    SafetyLimits,
+    loads_of,
+    pressure_shares,
+    reset_peaks,
+    stop_shares,
+    unsafe_reasons,
+)
 from sim.plant import PlantParameters, build_plant, initial_state
 
 LIGHT = Loads(np.zeros((3, 2)), np.full(6, 5e5), 0.02, 40.0, 0.5, "wrist lower stop", 0.1, 0.6)

@@ -14,7 +14,7 @@ from bench.base.lifecycle import Phase, Request
 from bench.config import Configuration
 from bench.control.settings import build_controller
 from bench.loop.loop import Cycle, CycleArray, Cycles
-from bench.simulation.loads import Loads, loads_of, reset_peaks
+from bench.simulation.safety import Loads, loads_of, reset_peaks
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import Driver, DriverError

@@ -28,8 +28,8 @@ from bench.commissioning.swings.speed_ramp import (
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.settings import ModelSettings
 from bench.design.designer import DesignFailed
-from bench.simulation.loads import Loads
 from bench.simulation.plant_variation import Variation
+from bench.simulation.safety import Loads
 from bench.simulation.series import Bench, SeriesSwing
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters

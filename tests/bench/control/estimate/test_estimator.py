@@ -18,8 +18,8 @@ from bench.control.estimate.estimator import (
     estimate,
 )
 from bench.control.settings import build_controller
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record

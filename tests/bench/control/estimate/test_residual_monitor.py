@@ -27,8 +27,8 @@ from bench.control.estimate.residual_monitor import (
 )
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.control.step_records import new_control_state
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record

@@ -18,10 +18,10 @@ from bench.control.estimate.air import actuator_force
 from bench.control.law.feed_forward import FeedForward, force_rates, kane_gains, opening_for
 from bench.control.law.force_reference import actuator_forces, demand_of
 from bench.control.settings import ControlSettings
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import WORN
 from bench.simulation.series import Bench, Series
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.dynamics import chambers

@@ -18,10 +18,10 @@ from bench.control.moves.address_pressure import LATE, SLIPPED
 from bench.control.moves.pressure_plan import dither_amplitudes, dither_periods, planned_air, with_planned_air
 from bench.control.settings import SIMULATED, build_controller
 from bench.control.step_records import ADDRESS_AIR
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import WORN, healthy_plant
 from bench.simulation.series import Bench, Series, quiet
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose

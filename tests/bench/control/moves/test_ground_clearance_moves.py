@@ -15,9 +15,9 @@ from bench.control.moves.ground_clearance import joint_progress, moves_arm_first
 from bench.control.moves.references import begin_move, follow_move
 from bench.control.settings import build_controller
 from bench.control.step_records import ControlParameters
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import healthy_plant
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose

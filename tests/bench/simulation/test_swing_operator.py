@@ -11,8 +11,8 @@ import pytest
 from bench.base.errors import Refused
 from bench.base.lifecycle import Phase
 from bench.control.settings import build_controller
-from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.plant import PlantParameters, build_plant
