@@ -1,10 +1,15 @@
-"""Every frame of the bench's bus: identifiers, lengths, contents and rates, and the resulting bus load."""
+"""Every frame of the bench's bus: identifiers, lengths, contents, rates, the resulting load, a DBC file.
+
+The DBC file is for candump, SavvyCAN, cantools and the like.
+"""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from typing import NamedTuple
 
+from drivers.base import ACTUATORS, CHAMBERS, JOINTS
 from drivers.can_bus import FRAME
 from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSettings
 
@@ -43,21 +48,6 @@ def worst_bits(length: int) -> int:
     return 47 + 8 * length + (33 + 8 * length) // 4
 
 
-class Traffic(NamedTuple):
-    """One kind of frame and its rate."""
-
-    name: str
-    identifier: int
-    length: int
-    rate: float
-    """Frames per second."""
-
-    @property
-    def load(self) -> float:
-        """Maximum bits per second."""
-        return self.rate * worst_bits(self.length)
-
-
 class AnalogueGroup(NamedTuple):
     """Analogue inputs in one PDO of the valve node."""
 
@@ -90,31 +80,185 @@ def analogue_groups(settings: CanopenSettings) -> tuple[AnalogueGroup, ...]:
     return tuple(groups)
 
 
-def traffic(settings: CanopenSettings, period: float, watchdog: float) -> list[Traffic]:
-    """Return all traffic of a running bench with a tick of `period` (s)."""
-    ticks, node = 1.0 / period, settings.valve_node.node
-    numbers = (*settings.encoders.nodes, node)
-    sent = [Traffic("SYNC", SYNC, 0, ticks)]
-    sent += [
-        Traffic(f"position {joint}", TPDO2 + number, POSITION_LENGTH, ticks)
-        for joint, number in zip(("shoulder", "arm", "wrist"), settings.encoders.nodes, strict=True)
-    ]
-    sent += [Traffic("command", RPDO1 + node, COMMAND_LENGTH, ticks)]
-    sent += [Traffic("inputs", TPDO1 + node, INPUTS_LENGTH, 1.0 / settings.interlock_period)]
-    sent += [
-        Traffic(group.name, group.base + node, 2 * len(group.channels), ticks / group.ticks)
-        for group in analogue_groups(settings)
-    ]
-    sent += [
-        Traffic(f"heartbeat {number}", HEARTBEAT + number, 1, 1.0 / settings.heartbeat) for number in numbers
-    ]
-    own = Traffic("heartbeat of the bench", HEARTBEAT + settings.master, 1, 1.0 / beat_period(watchdog))
-    return [*sent, own]
-
-
 def beat_period(watchdog: float) -> float:
     """Return the heartbeat period of the bench (s): a third of the node's watchdog time."""
     return watchdog / 3.0
+
+
+def valve_counts(volts: float, node: ValveNodeSettings) -> int:
+    """Return the analogue output count nearest to `volts`."""
+    return max(0, min(FULL_SCALE, round(volts / node.full_scale * FULL_SCALE)))
+
+
+_MASTER = "BENCH"
+_NMT_COMMANDS = {1: "start", 2: "stop", 128: "enter pre-operational", 129: "reset node", 130: "reset bus"}
+_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
+
+
+class Signal(NamedTuple):
+    """One value in a frame: little-endian, `value = offset + factor * count`."""
+
+    name: str
+    start: int
+    """First bit."""
+    length: int
+    """Number of bits."""
+    signed: bool = False
+    factor: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    words: dict[int, str] | None = None
+    counts: tuple[int, int] | None = None
+    """Lowest and highest valid count; None for all that the bits can hold."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest valid value, in units of the signal."""
+        whole = 1 << self.length
+        low, high = self.counts or ((-whole // 2, whole // 2 - 1) if self.signed else (0, whole - 1))
+        return self.offset + self.factor * low, self.offset + self.factor * high
+
+
+class Frame(NamedTuple):
+    """One kind of frame."""
+
+    identifier: int
+    name: str
+    length: int
+    sender: str
+    signals: tuple[Signal, ...]
+    comment: str
+    cycle: float = 0.0
+    """Period (s); 0 if event-driven."""
+
+    @property
+    def load(self) -> float:
+        """Maximum bits per second of a periodic frame."""
+        return worst_bits(self.length) / self.cycle if self.cycle else 0.0
+
+
+def traffic(settings: CanopenSettings, period: float, watchdog: float) -> Iterator[Frame]:
+    """Yield every frame on the bus for a tick of `period` (s) and a device `watchdog` (s)."""
+    node = settings.valve_node
+    yield Frame(
+        NMT,
+        "NMT",
+        2,
+        _MASTER,
+        (Signal("command", 0, 8, words=_NMT_COMMANDS), Signal("node", 8, 8, counts=(0, 127))),
+        "States of the nodes; node 0: all",
+    )
+    yield Frame(SYNC, "SYNC", 0, _MASTER, (), "All encoders sample now", period)
+    for joint, number in zip(JOINTS, settings.encoders.nodes, strict=True):
+        position = Signal("position", 0, 32, unit="counts")
+        name = f"POSITION_{joint.upper()}"
+        yield Frame(
+            TPDO2 + number,
+            name,
+            POSITION_LENGTH,
+            _sender(number),
+            (position,),
+            f"Encoder of the {joint}",
+            period,
+        )
+    factor = node.full_scale / FULL_SCALE
+    valves = [
+        Signal(
+            f"valve_{_word(actuator)}",
+            16 * n,
+            16,
+            signed=True,
+            factor=factor,
+            unit="V",
+            counts=(0, FULL_SCALE),
+        )
+        for n, actuator in enumerate(ACTUATORS)
+    ]
+    switches = [Signal(name, 48 + bit, 1) for name, bit in vars(node.outputs).items()]
+    yield Frame(
+        RPDO1 + node.node,
+        "COMMAND",
+        COMMAND_LENGTH,
+        _MASTER,
+        (*valves, *switches),
+        "Valves (centred at canopen.valve_node.centre) and switches",
+        period,
+    )
+    contacts = tuple(Signal(name, bit, 1) for name, bit in vars(node.inputs).items() if bit >= 0)
+    yield Frame(
+        TPDO1 + node.node,
+        "INPUTS",
+        INPUTS_LENGTH,
+        _sender(node.node),
+        contacts,
+        "Interlocks, on change and at least once per period",
+        settings.interlock_period,
+    )
+    yield from _analogue(settings, period)
+    yield from _services(settings, watchdog)
+
+
+def _analogue(settings: CanopenSettings, period: float) -> Iterator[Frame]:
+    node = settings.valve_node
+    channels = (node.supply_pressure, *node.chamber_pressures, *node.spool_positions)
+    words = ("pressure_supply", *(f"pressure_{_word(c)}" for c in CHAMBERS))
+    names = dict(zip(channels, (*words, *(f"spool_{_word(a)}" for a in ACTUATORS)), strict=True))
+    for group in analogue_groups(settings):
+        low, high, unit, text = (
+            (node.spool_at_zero, node.spool_at_full_scale, "", "Spool positions, share of the full opening")
+            if group.number == SPOOLS
+            else (node.pressure_at_zero, node.pressure_at_full_scale, "Pa", "Absolute pressures")
+        )
+        factor = (high - low) / FULL_SCALE
+        signals = tuple(
+            Signal(names[channel], 16 * k, 16, True, factor, low, unit, counts=(0, FULL_SCALE))
+            for k, channel in enumerate(group.channels)
+        )
+        yield Frame(
+            group.base + node.node,
+            group.name.upper().replace(" ", "_"),
+            2 * len(signals),
+            _sender(node.node),
+            signals,
+            text,
+            group.ticks * period,
+        )
+
+
+def _services(settings: CanopenSettings, watchdog: float) -> Iterator[Frame]:
+    """Yield the frames that every node has: emergency, heartbeat and SDO."""
+    object_signals = (
+        Signal("specifier", 0, 8),
+        Signal("object_index", 8, 16),
+        Signal("sub_index", 24, 8),
+        Signal("content", 32, 32),
+    )
+    state = (Signal("state", 0, 8, words=_STATES, counts=(0, 127)),)
+    for number in (*settings.encoders.nodes, settings.valve_node.node):
+        error = (Signal("error_code", 0, 16), Signal("error_register", 16, 8))
+        yield Frame(
+            EMERGENCY + number,
+            f"EMERGENCY_{number}",
+            EMERGENCY_LENGTH,
+            _sender(number),
+            error,
+            "Code 0: error reset",
+        )
+        yield Frame(
+            HEARTBEAT + number,
+            f"HEARTBEAT_{number}",
+            1,
+            _sender(number),
+            state,
+            "Heartbeat of a node",
+            settings.heartbeat,
+        )
+        yield Frame(SDO_REQUEST + number, f"QUESTION_{number}", 8, _MASTER, object_signals, "SDO request")
+        yield Frame(
+            SDO_RESPONSE + number, f"ANSWER_{number}", 8, _sender(number), object_signals, "SDO response"
+        )
+    own = HEARTBEAT + settings.master
+    yield Frame(own, "HEARTBEAT_BENCH", 1, _MASTER, state, "Heartbeat of the bench", beat_period(watchdog))
 
 
 def bus_load(settings: CanopenSettings, period: float, watchdog: float) -> float:
@@ -128,6 +272,41 @@ def max_rate(settings: CanopenSettings, watchdog: float) -> float:
     return max(0.0, MAX_LOAD - slow) / (bus_load(settings, 1.0, watchdog) - slow)
 
 
-def valve_counts(volts: float, node: ValveNodeSettings) -> int:
-    """Return the analogue output count nearest to `volts`."""
-    return max(0, min(FULL_SCALE, round(volts / node.full_scale * FULL_SCALE)))
+def _sender(number: int) -> str:
+    return f"NODE_{number}"
+
+
+def dbc_text(settings: CanopenSettings, period: float, watchdog: float) -> str:
+    """Return the text of the DBC file."""
+    described = list(traffic(settings, period, watchdog))
+    senders = list(dict.fromkeys(frame.sender for frame in described))
+    lines = ['VERSION "1"', "", "NS_ :", "", "BS_:", "", f"BU_: {' '.join(senders)}", ""]
+    for frame in described:
+        lines.append(f"BO_ {frame.identifier} {frame.name}: {frame.length} {frame.sender}")
+        lines += [f" SG_ {_signal(signal, frame.sender)}" for signal in frame.signals]
+        lines.append("")
+    lines += [f'CM_ BO_ {frame.identifier} "{frame.comment}";' for frame in described]
+    lines += ['BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;', 'BA_DEF_DEF_ "GenMsgCycleTime" 0;']
+    for frame in described:
+        if frame.cycle:
+            lines.append(f'BA_ "GenMsgCycleTime" BO_ {frame.identifier} {max(1, round(1e3 * frame.cycle))};')
+    for frame in described:
+        for signal in frame.signals:
+            if signal.words:
+                words = " ".join(f'{value} "{word}"' for value, word in signal.words.items())
+                lines.append(f"VAL_ {frame.identifier} {signal.name} {words} ;")
+    return "\n".join(lines) + "\n"
+
+
+def _signal(signal: Signal, sent_by: str) -> str:
+    sign = "-" if signal.signed else "+"
+    receiver = "Vector__XXX" if sent_by == _MASTER else _MASTER
+    low, high = signal.limits
+    return (
+        f"{signal.name} : {signal.start}|{signal.length}@1{sign} ({signal.factor!r},{signal.offset!r}) "
+        f'[{low:.12g}|{high:.12g}] "{signal.unit}" {receiver}'
+    )
+
+
+def _word(name: str) -> str:
+    return name.lower().replace(" ", "_")

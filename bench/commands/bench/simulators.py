@@ -113,10 +113,10 @@ def nodes(
         return
     if dbc is not None:
         from bench.commands.common.output import write_text
-        from drivers.canopen.dbc import describe
+        from drivers.canopen.frames import dbc_text
 
         c = configuration
-        write_text(describe(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), dbc)
+        write_text(dbc_text(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), dbc)
         typer.echo(f"{dbc}: the frames of channel {c.canopen.channel}")
         return
     if folder is not None:
