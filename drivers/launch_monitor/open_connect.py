@@ -17,7 +17,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache
-from math import atan2, cos, degrees, hypot, isfinite, pi, radians, sin
+from math import atan2, cos, degrees, hypot, isfinite, pi, sin
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -86,6 +86,16 @@ _CARRY = {
 """Bounds of the carry by `Units` in lower case; the specification's default is yards."""
 _BALL_FIELDS = ("Speed", "VLA", "HLA", "TotalSpin", "SpinAxis", "BackSpin", "SideSpin")
 _STRIKE = _Bounds(-100.0, 100.0, "mm", 1e-3)
+_CLUB = {
+    "speed": ("Speed", _SPEED),
+    "attack_angle": ("AngleOfAttack", _ELEVATION),
+    "path": ("Path", _ELEVATION),
+    "face_angle": ("FaceToTarget", _ELEVATION),
+    "dynamic_loft": ("Loft", _ELEVATION),
+    "strike_x": ("HorizontalFaceImpact", _STRIKE),
+    "strike_y": ("VerticalFaceImpact", _STRIKE),
+}
+"""Fields of the club and their bounds, by the names of `ClubFigures`."""
 _NOT_MEASURED = "0: not measured"
 
 
@@ -157,23 +167,15 @@ class _Figures:
         club = self.club
         if not club:
             return NO_CLUB
-        speed = self.value(club, "Speed", _SPEED)
-        resting = isinstance(speed, str)
-        strike = [self.value(club, f"{way}FaceImpact", _STRIKE) for way in ("Horizontal", "Vertical")]
-        if all(isinstance(part, str) or part == 0.0 for part in strike):
-            strike = [_NOT_MEASURED if part == 0.0 else part for part in strike]
         sent = {
-            "speed": speed,
-            "attack_angle": self.value(club, "AngleOfAttack", _ELEVATION),
-            "path": self.value(club, "Path", _ELEVATION),
-            "face_angle": self.value(club, "FaceToTarget", _ELEVATION),
-            "dynamic_loft": self.value(club, "Loft", _ELEVATION, measured_zero=False),
-            "strike_x": strike[0],
-            "strike_y": strike[1],
+            name: self.value(club, key, bounds, measured_zero=name != "dynamic_loft")
+            for name, (key, bounds) in _CLUB.items()
         }
-        resting |= not any(
-            isinstance(value, float) and value for name, value in sent.items() if name != "speed"
-        )
+        strike = {name: sent[name] for name in ("strike_x", "strike_y")}
+        if not any(isinstance(part, float) and part for part in strike.values()):
+            sent |= {name: _NOT_MEASURED for name, part in strike.items() if part == 0.0}
+        moving = any(isinstance(value, float) and value for name, value in sent.items() if name != "speed")
+        resting = isinstance(sent["speed"], str) or not moving
         return ClubFigures(
             *(
                 self._kept(f"club.{name}", _NOT_MEASURED if resting and value == 0.0 else value)
@@ -266,17 +268,10 @@ def write_shot(
     }
     if carry is not None:
         ball["CarryDistance"] = carry / YARD
-    sent = {
-        "Speed": (club.speed, MPH),
-        "AngleOfAttack": (club.attack_angle, radians(1.0)),
-        "FaceToTarget": (club.face_angle, radians(1.0)),
-        "Loft": (club.dynamic_loft, radians(1.0)),
-        "Path": (club.path, radians(1.0)),
-        "SpeedAtImpact": (club.speed, MPH),
-        "VerticalFaceImpact": (club.strike_y, 1e-3),
-        "HorizontalFaceImpact": (club.strike_x, 1e-3),
-    }
-    of_club = {name: value / unit for name, (value, unit) in sent.items() if value is not None}
+    known = [(*_CLUB[name], value) for name, value in club._asdict().items() if value is not None]
+    of_club = {key: value / bounds.factor for key, bounds, value in known}
+    if club.speed is not None:
+        of_club["SpeedAtImpact"] = of_club["Speed"]
     return _written(
         {
             **_head(device, number),
