@@ -38,43 +38,32 @@ Kind = Literal[
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-SIGNALS = (
-    *(f"{joint} encoder" for joint in JOINTS),
-    *(f"{joint} valve" for joint in JOINTS),
-    "supply",
-    "vents",
-    "emergency stop",
-    "guard closed",
-    "guard locked",
-    "local reset",
-    "ball sensor",
-    "tee",
-    "supply sensor",
-    *(f"{chamber} sensor" for chamber in CHAMBERS),
-    "club head",
-    "link",
-    "clock",
-    "loop",
-    "supervisor",
-    "recorder",
-    "lease",
-    "launch monitor",
-    "vent 1",
-    "vent 2",
-    "vent 1 feedback",
-    "vent 2 feedback",
-    "shut-off",
-    "shut-off feedback",
-    *(f"{chamber} relief" for chamber in CHAMBERS),
-    "manifold relief",
-    "safety relay",
-    *(f"{chamber} exhaust" for chamber in CHAMBERS),
-    "manifold exhaust",
-    *(f"{joint} exhaust" for joint in JOINTS),
-    "exhausts",
-    *(f"{joint} spool feedback" for joint in JOINTS),
-)
+_SORTS: dict[str, str] = {
+    **dict.fromkeys((f"{joint} encoder" for joint in JOINTS), "encoder"),
+    **dict.fromkeys((f"{joint} valve" for joint in JOINTS), "valve"),
+    "supply": "supply",
+    "vents": "vents",
+    **dict.fromkeys(("emergency stop", "guard closed", "guard locked"), "switch"),
+    **dict.fromkeys(("local reset", "ball sensor"), "switch"),
+    "tee": "tee",
+    **dict.fromkeys(("supply sensor", *(f"{chamber} sensor" for chamber in CHAMBERS)), "pressure"),
+    **{signal: signal for signal in ("club head", "link", "clock", "loop")},
+    **dict.fromkeys(("supervisor", "recorder", "lease"), "process"),
+    "launch monitor": "launch monitor",
+    **dict.fromkeys(("vent 1", "vent 2"), "vent"),
+    **dict.fromkeys(("vent 1 feedback", "vent 2 feedback"), "switch"),
+    "shut-off": "shut-off",
+    "shut-off feedback": "switch",
+    **dict.fromkeys((*(f"{chamber} relief" for chamber in CHAMBERS), "manifold relief"), "relief"),
+    "safety relay": "safety relay",
+    **dict.fromkeys((*(f"{chamber} exhaust" for chamber in CHAMBERS), "manifold exhaust"), "exhaust"),
+    **dict.fromkeys((*(f"{joint} exhaust" for joint in JOINTS), "exhausts"), "exhaust"),
+    **dict.fromkeys((f"{joint} spool feedback" for joint in JOINTS), "spool feedback"),
+}
+SIGNALS = tuple(_SORTS)
 """Signals and parts that can fail."""
+SWITCHES = tuple(signal for signal, sort in _SORTS.items() if sort == "switch")
+"""Inputs that are on or off, by their numbers for "swapped"."""
 
 PHASES = (
     "standing",
@@ -89,18 +78,6 @@ PHASES = (
     "return",
 )
 """Names of the phases for onsets, by number; a test keeps them equal to the bench's."""
-
-SWITCHES = (
-    "emergency stop",
-    "guard closed",
-    "guard locked",
-    "local reset",
-    "ball sensor",
-    "vent 1 feedback",
-    "vent 2 feedback",
-    "shut-off feedback",
-)
-"""Inputs that are on or off, by their numbers for "swapped"."""
 
 MEANINGS: dict[str, dict[Kind, str]] = {
     "encoder": {
@@ -214,25 +191,9 @@ MEANINGS: dict[str, dict[Kind, str]] = {
 }
 """Meaning of each kind, by sort of signal; a missing pair is invalid."""
 
-_SORTS = dict.fromkeys(SWITCHES, "switch") | dict.fromkeys(("supervisor", "recorder", "lease"), "process")
-
 
 def sort_of(signal: str) -> str:
     """Return the sort of `signal`, a key of MEANINGS."""
-    if signal.endswith(" encoder"):
-        return "encoder"
-    if signal.endswith(" valve"):
-        return "valve"
-    if signal in ("vent 1", "vent 2"):
-        return "vent"
-    if signal.endswith(" spool feedback"):
-        return "spool feedback"
-    if signal.endswith(" relief"):
-        return "relief"
-    if signal.endswith(" exhaust") or signal == "exhausts":
-        return "exhaust"
-    if signal != "ball sensor" and signal.endswith(" sensor"):
-        return "pressure"
     return _SORTS.get(signal, signal)
 
 

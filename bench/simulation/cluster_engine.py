@@ -139,14 +139,8 @@ class ClusterEngine:
         try:
             self._client.wait_for_workers(1, CONNECT_TIMEOUT)
         except TimeoutError:
-            fault = BenchError(
-                f"cluster {self._address}",
-                "no workers",
-                "at least one",
-                f"Start some: golfbench cluster --join {self._address}.",
-            )
-            fault.exit_code = ExitCode.DEVICE
-            raise fault from None
+            action = f"Start some: golfbench cluster --join {self._address}."
+            raise _fault(self._address, "no workers", "at least one", action, ExitCode.DEVICE) from None
 
 
 @contextmanager
@@ -210,22 +204,18 @@ def _run(shared: SharedStudy, batch: CaseBatch) -> BatchDone:
 
 
 def _lost(address: str, why: str) -> BenchError:
-    fault = BenchError(
-        f"cluster {address}",
-        why.strip().splitlines()[0],
-        "a scheduler that answers",
-        "Start the scheduler (golfbench cluster), then run the command again: stored cases are skipped.",
-    )
-    fault.exit_code = ExitCode.NO_ANSWER
-    return fault
+    action = "Start the scheduler (golfbench cluster), then run the command again: stored cases are skipped."
+    found = why.strip().splitlines()[0]
+    return _fault(address, found, "a scheduler that answers", action, ExitCode.NO_ANSWER)
 
 
 def _killing(address: str, batch: CaseBatch) -> BenchError:
-    fault = BenchError(
-        f"cluster {address}",
-        f"a batch whose workers died {_TRIES} times: {batch.cases[0]}",
-        "workers that run their cases",
-        "Look for lack of memory in the workers' logs. Stored cases are kept.",
-    )
-    fault.exit_code = ExitCode.DEVICE
+    found = f"a batch whose workers died {_TRIES} times: {batch.cases[0]}"
+    action = "Look for lack of memory in the workers' logs. Stored cases are kept."
+    return _fault(address, found, "workers that run their cases", action, ExitCode.DEVICE)
+
+
+def _fault(address: str, found: str, expected: str, action: str, code: ExitCode) -> BenchError:
+    fault = BenchError(f"cluster {address}", found, expected, action)
+    fault.exit_code = code
     return fault

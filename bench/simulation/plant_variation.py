@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,22 +88,13 @@ WORN = Variation(
 def worn(share: float) -> Variation:
     """Return a variation with `share` of the deviations of WORN."""
 
-    def part(factor: float) -> float:
-        return 1.0 + share * (factor - 1.0)
+    def part(worst: Any, nominal: Any) -> Any:
+        if isinstance(worst, tuple):
+            return tuple(map(part, worst, nominal))
+        return nominal + share * (worst - nominal)
 
-    def parts(factors: Three) -> Three:
-        a, b, c = map(part, factors)
-        return a, b, c
-
-    return Variation(
-        friction=parts(WORN.friction),
-        flow=parts(WORN.flow),
-        volume=parts(WORN.volume),
-        supply=part(WORN.supply),
-        vane=part(WORN.vane),
-        head_mass=share * WORN.head_mass,
-        latency=share * WORN.latency,
-    )
+    nominal = vars(Variation())
+    return Variation(**{name: part(worst, nominal[name]) for name, worst in vars(WORN).items()})
 
 
 def drawn(seed: int, plant: PlantParameters, spread: float = 0.10) -> Variation:

@@ -168,27 +168,11 @@ class CanopenDriver:
         self._valve_span = valve_node.span * scale
         a, b, c = (centre * scale + 0.5 for centre in valve_node.centre)
         self._valve_centre = (a, b, c)
-        outputs = valve_node.outputs
-        self._output_bits = (
-            1 << outputs.supply_enable,
-            1 << outputs.exhaust_closed,
-            1 << outputs.guard_release,
-            1 << outputs.beacon,
-            1 << outputs.tee,
-        )
+        # In the order of the settings; a bit that is not fitted has no mask.
+        self._output_bits = tuple(1 << bit for bit in vars(valve_node.outputs).values())
         self._passive_frame = self._packed(PASSIVE)
-        inputs = valve_node.inputs
-        self._input_bits = (
-            1 << inputs.emergency_stop_clear,
-            1 << inputs.guard_closed,
-            1 << inputs.guard_locked,
-            1 << inputs.local_reset,
-            1 << inputs.ball_present,
-        )
-        # A bit that is not fitted has no mask.
-        fed_back = inputs.vent_1_open, inputs.vent_2_open, inputs.shut_off_open
-        one, two, three = (1 << bit if bit >= 0 else 0 for bit in fed_back)
-        self._vent_bits, self._shut_off_bit = (one, two), three
+        inputs = tuple(1 << bit if bit >= 0 else 0 for bit in vars(valve_node.inputs).values())
+        self._input_bits, self._vent_bits, self._shut_off_bit = inputs[:5], inputs[5:7], inputs[7]
         self._groups = analogue_groups(self.settings)
         # By number of the group, pressures twice: count zero, value of a count, believable values.
         pressure, spool = valve_node.pressure_at_zero, valve_node.spool_at_zero

@@ -5,8 +5,9 @@ Every setting is read back. Nothing moves: the nodes are pre-operational.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from drivers.base import ACTUATORS, DriverError
 from drivers.canopen.frames import RPDO1, TPDO1, TPDO2, analogue_groups, valve_counts
@@ -183,19 +184,19 @@ def _set_error_behaviour(node: Node) -> bool:
 
 def _store(node: Node, longest: float) -> bool:
     """Store the node's settings over a power loss within `longest` s; return whether it supports that."""
-    try:
-        node.write(0x1010, 1, int.from_bytes(b"save", "little"), 4, "store parameters", longest)
-    except ServiceError as error:
-        if error.code not in MISSING:
-            raise
-        return False
-    return True
+    save = int.from_bytes(b"save", "little")
+    return _is_there(partial(node.write, 0x1010, 1, save, 4, "store parameters", longest))
 
 
 def _offer(node: Node, index: int, subindex: int, value: int, size: int, name: str) -> bool:
     """Set a value; return whether the device has the object."""
+    return _is_there(partial(node.set, index, subindex, value, size, name))
+
+
+def _is_there(access: Callable[[], object]) -> bool:
+    """Return whether the device has the object of `access`; ServiceError if that fails otherwise."""
     try:
-        node.set(index, subindex, value, size, name)
+        access()
     except ServiceError as error:
         if error.code not in MISSING:
             raise
@@ -237,15 +238,9 @@ def identify(node: Node, profile: int, vendor: int, product: int) -> None:
 def _silence(node: Node, communication: int, keep: set[int]) -> None:
     """Disable every PDO of one direction except the numbers in `keep`, which are set afterwards."""
     for number in range(_MAX_PDOS):
-        if number in keep:
-            continue
-        try:
-            _invalidate(node, communication + number)
-        except ServiceError as error:
-            if error.code not in MISSING:
-                raise
-            if number >= _PREDEFINED_PDOS - 1:
-                break
+        is_there = number in keep or _is_there(partial(_invalidate, node, communication + number))
+        if not is_there and number >= _PREDEFINED_PDOS - 1:
+            break
 
 
 def _invalidate(node: Node, index: int) -> None:
