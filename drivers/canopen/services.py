@@ -62,8 +62,11 @@ class ServiceError(DriverError):
         self.code = code
 
 
-class Node:
-    """SDO access to one node during startup; `role` names it in messages."""
+class Node(SdoClient):
+    """SDO access to one node during startup; `role` names it in messages.
+
+    It receives frames itself while it waits for a response.
+    """
 
     def __init__(
         self,
@@ -75,8 +78,16 @@ class Node:
         timeout: float,
     ) -> None:
         """`take` receives the next frame (identifier, data) within a time (s); `timeout` (s) per response."""
+        super().__init__(  # type: ignore[no-untyped-call]
+            SDO_REQUEST + number, SDO_RESPONSE + number, ObjectDictionary()
+        )
         self.number, self.role = number, role
-        self._client = _PolledClient(number, send, take, clock, timeout)
+        self.network = _Sender(send)
+        self._take, self._clock, self._timeout = take, clock, timeout
+        self._left = 0
+        """Responses that the present dialogue may still have."""
+        self._request, self._object = bytes(8), _NO_OBJECT
+        """The last request, and index and sub-index of its dialogue."""
 
     def read(self, index: int, subindex: int, name: str) -> int:
         """Return an unsigned number.
@@ -93,8 +104,8 @@ class Node:
             ServiceError: the node refuses or does not answer.
         """
         try:
-            with self._client.time_limit(None):
-                return bytes(self._client.upload(index, subindex))
+            with self._time_limit(None):
+                return bytes(self.upload(index, subindex))
         except (SdoAbortedError, SdoCommunicationError, struct.error, OSError) as error:
             raise self._failure("read", index, subindex, name, error) from error
 
@@ -120,8 +131,8 @@ class Node:
             ServiceError: the node refuses or does not answer.
         """
         try:
-            with self._client.time_limit(timeout):
-                self._client.download(index, subindex, value.to_bytes(size, "little"))
+            with self._time_limit(timeout):
+                self.download(index, subindex, value.to_bytes(size, "little"))
         except (SdoAbortedError, SdoCommunicationError, struct.error, OSError) as error:
             raise self._failure(f"set to {value:#x}", index, subindex, name, error) from error
 
@@ -183,30 +194,10 @@ class Node:
             case _:
                 return ServiceError(f"{location}: cannot be {what}: {error}; {_ACTIONS[0x05040000]}")
 
-
-class _PolledClient(SdoClient):
-    """canopen's client of one node, which receives frames itself while it waits for a response."""
-
-    def __init__(
-        self,
-        number: int,
-        send: Callable[[bytes], None],
-        take: Callable[[float], tuple[int, bytes] | None],
-        clock: Callable[[], float],
-        timeout: float,
-    ) -> None:
-        super().__init__(  # type: ignore[no-untyped-call]
-            SDO_REQUEST + number, SDO_RESPONSE + number, ObjectDictionary()
-        )
-        self.network = _Sender(send)
-        self._take, self._clock, self._timeout = take, clock, timeout
-        self._left = 0
-        """Responses that the present dialogue may still have."""
-        self._request, self._object = bytes(8), _NO_OBJECT
-        """The last request, and index and sub-index of its dialogue."""
+    # canopen's client ----------------------------------------------------------------------------
 
     @contextmanager
-    def time_limit(self, timeout: float | None) -> Iterator[None]:
+    def _time_limit(self, timeout: float | None) -> Iterator[None]:
         """Begin a dialogue with up to `timeout` (s) for each response; None for the usual time."""
         usual, self._left = self._timeout, _MAX_RESPONSES
         self._timeout = usual if timeout is None else timeout
