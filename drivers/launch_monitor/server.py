@@ -7,12 +7,12 @@ reconnect.
 
 from __future__ import annotations
 
-import selectors
+import asyncio
 import socket
 import threading
 import time as wall
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from ipaddress import ip_address
@@ -71,21 +71,12 @@ class Link(NamedTuple):
     """Newest reason of a refused message or connection; empty without one."""
 
 
-class _Client:
+class _Client(NamedTuple):
     """A connection."""
 
-    def __init__(self, connection: socket.socket, address: str, conversation: Conversation) -> None:
-        self.connection, self.address, self.conversation = connection, address, conversation
-        self.unread = bytearray()
-        self.closing = False
-        """Whether to close after the last answer is sent."""
-        self.ready_at: float | None = None
-        """When to send the readiness that follows the player, s (CLOCK_MONOTONIC); None if sent."""
-
-    def greet(self, player: bytes) -> None:
-        """Queue the message of the player now, and that of readiness for `_APART` later."""
-        self.unread += player
-        self.ready_at = wall.monotonic() + _APART
+    writer: asyncio.StreamWriter
+    address: str
+    conversation: Conversation
 
 
 class LaunchMonitorServer:
@@ -108,13 +99,12 @@ class LaunchMonitorServer:
         self._measured = MeasuredClubFields()
         self._understood: float | None = None
         self._refusal = ""
-        self._clients: dict[int, _Client] = {}
+        self._clients: list[_Client] = []
         self._counts = MessageCounts()
         self._connections = self._rejected = self._disconnected = self._failures = self._lost = 0
         self._player = b""
         self._listener: socket.socket | None = None
         self._thread: threading.Thread | None = None
-        self._stopping = False
 
     # From outside --------------------------------------------------------------------------------
 
@@ -140,11 +130,12 @@ class LaunchMonitorServer:
                 f"{error.strerror or error}; stop the program that uses the port or change "
                 "launch_monitor.address or launch_monitor.port (below 1024 needs a privilege)"
             ) from error
-        self._wake_out, self._wake_in = socket.socketpair()
-        self._wake_in.setblocking(False)
-        self._wake_out.setblocking(False)
-        self._listener, self._stopping = listener, False
-        self._thread = threading.Thread(target=self._serve, name="launch monitor server", daemon=True)
+        runner = asyncio.Runner(loop_factory=asyncio.new_event_loop)
+        self._listener, self._events, self._stop = listener, runner.get_loop(), asyncio.Event()
+        self._room = asyncio.Semaphore(MAX_CONNECTIONS)
+        self._thread = threading.Thread(
+            target=self._run, args=(runner, listener), name="launch monitor server", daemon=True
+        )
         self._thread.start()
 
     @property
@@ -179,7 +170,7 @@ class LaunchMonitorServer:
             now = self._clock()
             counts = replace(self._counts)
             connected = []
-            for client in self._clients.values():
+            for client in self._clients:
                 talk = client.conversation
                 counts.add(talk.counts)
                 silent = max(0.0, now - talk.last_received)
@@ -206,9 +197,8 @@ class LaunchMonitorServer:
         """
         with self._lock:
             self._player = write_player(club)
-            for client in self._clients.values():
-                client.greet(self._player)
-        self._wake()
+        if self._thread is not None:
+            self._events.call_soon_threadsafe(self._greet, tuple(self._clients))
 
     def close(self) -> None:
         """End the round at all monitors, close all connections and stop the thread.
@@ -216,106 +206,79 @@ class LaunchMonitorServer:
         Allowed in any state, also twice.
         """
         thread, self._thread = self._thread, None
-        if thread is None:
-            return
-        with self._lock:
-            for client in self._clients.values():
-                client.unread += write_ended() if self._player else b""
-        self._stopping = True
-        self._wake()
-        thread.join()
-        self._wake_in.close()
-        self._wake_out.close()
-
-    def _wake(self) -> None:
-        if self._listener is not None:
-            with suppress(OSError):  # full: already awake
-                self._wake_out.send(b"!")
+        if thread is not None:
+            with suppress(RuntimeError):  # the thread has failed and closed its loop
+                self._events.call_soon_threadsafe(self._stop.set)
+            thread.join()
 
     # In the thread -------------------------------------------------------------------------------
 
-    def _serve(self) -> None:
-        listener = self._listener
-        if listener is None:
-            return
-        with selectors.DefaultSelector() as selector:
-            selector.register(listener, selectors.EVENT_READ)
-            selector.register(self._wake_in, selectors.EVENT_READ)
-            checked = self._clock()
-            try:
-                while not self._stopping:
-                    for key, events in selector.select(_CHECK):
-                        if key.fileobj is listener:
-                            self._accept(selector, listener)
-                        elif key.fileobj is self._wake_in:
-                            with suppress(OSError):
-                                self._wake_in.recv(_CHUNK)
-                            for client in list(self._clients.values()):
-                                self._attend(selector, client, selectors.EVENT_WRITE)
-                        else:
-                            self._attend(selector, key.data, events)
-                    self._send_ready(selector)
-                    if self._clock() - checked >= _CHECK:
-                        checked = self._clock()
-                        self._check_silence(selector)
-            finally:
-                for client in list(self._clients.values()):
-                    with self._lock, suppress(OSError):
-                        client.connection.send(client.unread)
-                    self._drop(selector, client)
-                self._listener = None
-                listener.close()
+    def _run(self, runner: asyncio.Runner, listener: socket.socket) -> None:
+        with runner:
+            runner.run(self._serve(listener))
 
-    def _accept(self, selector: selectors.BaseSelector, listener: socket.socket) -> None:
+    async def _serve(self, listener: socket.socket) -> None:
+        server = await asyncio.start_server(self._attend, sock=listener)
+        while not self._stop.is_set():
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._stop.wait(), _CHECK)
+            self._check_silence()
+        self._listener = None
+        server.close()
+        for client in self._clients:
+            client.writer.write(write_ended() if self._player else b"")
+            if client.writer.transport.get_write_buffer_size():  # it does not read
+                client.writer.transport.abort()
+            client.writer.close()
+        while self._clients:
+            await asyncio.sleep(0.001)
+
+    async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one connection until it ends; an error closes this connection only."""
+        address = writer.get_extra_info("peername")[0]
+        if not self.settings.accepts(address.split("%")[0]):
+            self._reject(writer, f"connection from {address}: not in launch_monitor.clients")
+            return
         try:
-            connection, peer = listener.accept()
-        except OSError:  # disconnected already, or no file descriptors left
-            wall.sleep(0.01)
+            await asyncio.wait_for(self._room.acquire(), _CHECK)
+        except TimeoutError:
+            self._reject(writer, f"connection from {address}: {MAX_CONNECTIONS} are connected")
             return
-        full = len(self._clients) >= MAX_CONNECTIONS
-        if full or not self.settings.accepts(peer[0].split("%")[0]):
-            why = f"{MAX_CONNECTIONS} are connected" if full else "not in launch_monitor.clients"
-            with self._lock:
-                self._rejected += 1
-                self._refusal = f"connection from {peer[0]}: {why}"
-            connection.close()
-            return
-        connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        _end_if_unreachable(connection, self.settings.silence)
-        client = _Client(connection, peer[0], Conversation(self._clock(), self._measured))
+        _end_if_unreachable(writer.get_extra_info("socket"), self.settings.silence)
+        client = _Client(writer, address, Conversation(self._clock(), self._measured))
         with self._lock:
             self._connections += 1
-            self._clients[id(client)] = client
-            if self._player and self.settings.presence == "connected":  # others await the answer alone
-                client.greet(self._player)
-        selector.register(connection, selectors.EVENT_READ, client)
-        self._attend(selector, client, selectors.EVENT_WRITE)
-
-    def _attend(self, selector: selectors.BaseSelector, client: _Client, events: int) -> None:
-        """Read from and write to `client`; an error closes this connection only."""
+            self._clients.append(client)
+        if self._player and self.settings.presence == "connected":  # others await the answer alone
+            self._greet((client,))
         try:
-            connected = True
-            if events & selectors.EVENT_READ and not client.closing:
-                connected = self._receive(client)
-            if connected:
-                connected = self._answer(selector, client)
-        except OSError:  # the other side disconnected
-            connected = False
+            while not writer.is_closing() and (data := await reader.read(_CHUNK)):
+                self._receive(client, data)
+            writer.close()
+            await asyncio.wait_for(writer.wait_closed(), _CHECK)
+        except (OSError, TimeoutError):  # the other side disconnected, or does not read
+            pass
         except Exception:  # an error here must not affect the other monitors
             self._failures += 1
-            connected = False
-        if not connected:
-            self._drop(selector, client)
+        finally:
+            writer.transport.abort()
+            self._forget(client)
+            self._room.release()
 
-    def _receive(self, client: _Client) -> bool:
-        """Process received bytes; return whether the connection is still open."""
-        try:
-            data = client.connection.recv(_CHUNK)
-        except BlockingIOError:
-            return True
-        if not data:
-            return False
+    def _reject(self, writer: asyncio.StreamWriter, why: str) -> None:
+        with self._lock:
+            self._rejected += 1
+            self._refusal = why
+        writer.close()
+
+    def _greet(self, clients: Sequence[_Client]) -> None:
+        """Send the player now, and the readiness `_APART` later."""
+        for client in clients:
+            client.writer.write(self._player)
+            self._events.call_later(_APART, client.writer.write, write_ready())
+
+    def _receive(self, client: _Client, data: bytes) -> None:
+        """Process received bytes and answer them."""
         with self._lock:
             parsed = client.conversation.receive(data, self._clock())
             self._take_asides(client.conversation)
@@ -323,11 +286,13 @@ class LaunchMonitorServer:
             while len(self._records) > MAX_WAITING:
                 self._records.popleft()
                 self._lost += 1
-            client.unread += parsed.answer
-            client.closing = not parsed.keep_open
-            if client.closing:
-                self._disconnected += 1
-        return True
+            client.writer.write(parsed.answer)
+            reads = client.writer.transport.get_write_buffer_size() <= _MAX_UNREAD
+            self._disconnected += not (reads and parsed.keep_open)
+        if not parsed.keep_open:
+            client.writer.close()
+        if not reads:
+            client.writer.transport.abort()
 
     def _take_asides(self, conversation: Conversation) -> None:
         """Take clubs and refused messages of `conversation`; the lock must be held."""
@@ -339,54 +304,24 @@ class LaunchMonitorServer:
         if conversation.understood is not None:
             self._understood = max(conversation.understood, self._understood or conversation.understood)
 
-    def _answer(self, selector: selectors.BaseSelector, client: _Client) -> bool:
-        """Send queued answers; return whether the connection is still open."""
-        with self._lock:
-            if client.unread:
-                with suppress(BlockingIOError):
-                    del client.unread[: client.connection.send(client.unread)]
-            left = len(client.unread)
-            if left > _MAX_UNREAD:
-                self._disconnected += 1
-        if left > _MAX_UNREAD or (client.closing and not left):
-            return False
-        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if left else 0)
-        selector.modify(client.connection, wanted, client)
-        return True
-
-    def _send_ready(self, selector: selectors.BaseSelector) -> None:
-        """Send the readiness to the monitors that got the player before."""
-        now = wall.monotonic()
-        for client in list(self._clients.values()):
-            with self._lock:
-                due = client.ready_at is not None and now >= client.ready_at
-                if due:
-                    client.unread += write_ready()
-                    client.ready_at = None
-            if due:
-                self._attend(selector, client, selectors.EVENT_WRITE)
-
-    def _check_silence(self, selector: selectors.BaseSelector) -> None:
+    def _check_silence(self) -> None:
         now = self._clock()
-        for client in list(self._clients.values()):
+        for client in self._clients:
             with self._lock:
                 client.conversation.check(now)
                 self._take_asides(client.conversation)
                 silent = now - client.conversation.last_received > self.settings.silence
-            if client.closing or (silent and client.conversation.heartbeats):
-                self._disconnected += not client.closing
-                self._drop(selector, client)
+                lost = silent and client.conversation.heartbeats and not client.writer.is_closing()
+                self._disconnected += lost
+            if lost:
+                client.writer.transport.abort()
 
-    def _drop(self, selector: selectors.BaseSelector, client: _Client) -> None:
+    def _forget(self, client: _Client) -> None:
         with self._lock:
-            if self._clients.pop(id(client), None) is None:
-                return  # already dropped in this round
+            self._clients.remove(client)
             client.conversation.end(self._clock())
             self._take_asides(client.conversation)
             self._counts.add(client.conversation.counts)
-        with suppress(KeyError, ValueError):
-            selector.unregister(client.connection)
-        client.connection.close()
 
 
 def _end_if_unreachable(connection: socket.socket, timeout: float) -> None:

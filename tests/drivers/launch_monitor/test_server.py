@@ -178,9 +178,10 @@ def test_server_unreachable_machine_is_given_up_after_silence(
 ) -> None:
     connect()
     wait_for(lambda: server.link().connected)
-    (client,) = server._clients.values()
+    (client,) = server._clients
     options = (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_USER_TIMEOUT)
-    held = [client.connection.getsockopt(socket.IPPROTO_TCP, option) for option in options]
+    opened = client.writer.get_extra_info("socket")
+    held = [opened.getsockopt(socket.IPPROTO_TCP, option) for option in options]
     assert held == [15, 5, 30_000]
 
 
