@@ -114,7 +114,7 @@ class ClusterEngine:
         results: Any = distributed.as_completed([], loop=self._client.loop)
 
         def hand_out(batch: CaseBatch, tried: int) -> None:
-            key = f"batch-{name}-{batch.number}-{tried}"
+            key = f"batch-{name}-{batch.indices[0]}-{tried}"
             future = self._client.submit(_run, shared, batch, key=key, pure=False)
             waiting[future] = batch, tried
             results.add(future)

@@ -69,14 +69,15 @@ class Study(Protocol[Case_contra, Result_co]):
 class CaseBatch(NamedTuple):
     """Cases for one worker at a time."""
 
-    number: int
-    cases: tuple[Any, ...]
+    indices: list[int]
+    """Positions among the cases of the sweep."""
+    cases: list[Any]
 
 
 class BatchDone(NamedTuple):
     """A batch that was run."""
 
-    number: int
+    indices: list[int]
     results: list[Any]
     duration: float
     """Duration in the worker (s)."""
@@ -105,7 +106,7 @@ def run_batch(function: Callable[[Any], Any], batch: CaseBatch) -> BatchDone:
     begin = perf_counter()
     with one_blas_thread():
         results = [function(case) for case in batch.cases]
-    return BatchDone(batch.number, results, perf_counter() - begin)
+    return BatchDone(batch.indices, results, perf_counter() - begin)
 
 
 def sweep(
@@ -137,67 +138,54 @@ def sweep(
         results = {i: kept[name] for i, case in enumerate(cases) if (name := key(case)) in kept}
     progress(len(results))
     left = [i for i in range(len(cases)) if i not in results]
-    batches = _Batches(cases, left, group, engine.slots, stop)
-    begin = perf_counter()
-    for done in engine.completed(study, batches):
-        indices = batches.took(done)
-        results.update(zip(indices, done.results, strict=True))
+    pace, begin = _Pace(engine), perf_counter()
+    for done in engine.completed(study, _batches(cases, left, group, pace, stop)):
+        pace.add(done)
+        results.update(zip(done.indices, done.results, strict=True))
         if store is not None:
-            store.add({key(cases[i]): results[i] for i in indices})
+            store.add({key(cases[i]): results[i] for i in done.indices})
         progress(len(results))
     if store is not None:
         store.took(perf_counter() - begin)
     return [results[i] for i in sorted(results)]
 
 
-class _Batches(Generic[Case]):
-    """Batches of the cases that are left, sized by what cases have cost so far."""
+class _Pace:
+    """Sizes batches by what cases have cost so far."""
 
-    def __init__(
-        self,
-        cases: Sequence[Case],
-        left: Sequence[int],
-        group: Callable[[Case], Hashable],
-        slots: Callable[[], int],
-        stop: Callable[[], bool],
-    ) -> None:
-        self._cases, self._slots, self._stop = cases, slots, stop
-        by_group: dict[Hashable, list[int]] = {}
-        for i in left:
-            by_group.setdefault(group(cases[i]), []).append(i)
-        self._groups = [indices[::-1] for indices in reversed(by_group.values())]
-        self._left = len(left)
-        self._out: dict[int, list[int]] = {}
-        self._number = self._known = 0
-        self._duration = 0.0
+    def __init__(self, engine: Engine) -> None:
+        self._engine, self._cases, self._duration = engine, 0, 0.0
 
-    def __iter__(self) -> Iterator[CaseBatch]:
-        return self
-
-    def __next__(self) -> CaseBatch:
-        if not self._groups or self._stop():
-            raise StopIteration
-        group, size = self._groups[-1], self._size()
-        indices = [group.pop() for _ in range(min(size, len(group)))]
-        if not group:
-            self._groups.pop()
-        self._left -= len(indices)
-        self._number += 1
-        self._out[self._number] = indices
-        return CaseBatch(self._number, tuple(self._cases[i] for i in indices))
-
-    def _size(self) -> int:
-        """Return how many cases take BATCH_TIME, fewer towards the end so that all workers end together."""
-        if not self._known:
-            return 1
-        wanted = BATCH_TIME * self._known / max(self._duration, 1e-9)
-        return max(1, int(min(wanted, self._left / (IN_FLIGHT * max(self._slots(), 1)))))
-
-    def took(self, done: BatchDone) -> list[int]:
-        """Add the cost of the cases of `done`; return their places among the cases."""
-        self._known += len(done.results)
+    def add(self, done: BatchDone) -> None:
+        self._cases += len(done.results)
         self._duration += done.duration
-        return self._out.pop(done.number)
+
+    def size(self, left: int) -> int:
+        """Return how many cases take BATCH_TIME, fewer towards the end so that all workers end together."""
+        if not self._cases:
+            return 1
+        wanted = BATCH_TIME * self._cases / max(self._duration, 1e-9)
+        return max(1, int(min(wanted, left / (IN_FLIGHT * max(self._engine.slots(), 1)))))
+
+
+def _batches(
+    cases: Sequence[Case],
+    left: Sequence[int],
+    group: Callable[[Case], Hashable],
+    pace: _Pace,
+    stop: Callable[[], bool],
+) -> Iterator[CaseBatch]:
+    by_group: dict[Hashable, deque[int]] = {}
+    for i in left:
+        by_group.setdefault(group(cases[i]), deque()).append(i)
+    count = len(left)
+    for waiting in by_group.values():
+        while waiting:
+            if stop():
+                return
+            indices = [waiting.popleft() for _ in range(min(pace.size(count), len(waiting)))]
+            count -= len(indices)
+            yield CaseBatch(indices, [cases[i] for i in indices])
 
 
 # Stored results --------------------------------------------------------------------------------------

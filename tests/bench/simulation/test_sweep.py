@@ -52,7 +52,7 @@ class Timed:
     def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
         for batch in batches:
             self.batches.append(batch)
-            yield BatchDone(batch.number, list(batch.cases), self.cost * len(batch.cases))
+            yield BatchDone(batch.indices, batch.cases, self.cost * len(batch.cases))
 
 
 def test_sweep_results_keep_case_order_for_each_engine() -> None:
@@ -90,7 +90,7 @@ def test_sweep_resumed_from_store_runs_no_case_twice(tmp_path: Path) -> None:
     store = SweepStore(path, "d", as_dict, as_float)
     found = sweep(Draws(), range(10), engine, store=store, progress=done.append)
     assert found == list(range(10))
-    assert [batch.cases for batch in engine.batches] == [(i,) for i in range(4, 10)]
+    assert [batch.cases for batch in engine.batches] == [[i] for i in range(4, 10)]
     assert done[5:] == [4, 5, 6, 7, 8, 9, 10]
 
 
