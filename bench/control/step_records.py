@@ -315,14 +315,8 @@ def new_control_state(state: State = State.READY) -> ControlState:
 
     A simulation begins in READY, homed and with the lease; a bench begins in State.STARTING.
     """
-    made = ControlState(
-        new_record(CONTROL_STATE),
-        new_record(ENCODER_STATE),
-        new_record(ESTIMATOR_STATE),
-        new_record(PID_STATE),
-        new_record(MODEL_STATE),
-        new_record(AIR_STATE),
-    )
+    kinds = CONTROL_STATE, ENCODER_STATE, ESTIMATOR_STATE, PID_STATE, MODEL_STATE, AIR_STATE
+    made = ControlState(*map(new_record, kinds))
     control, powered = made.control, state != State.STARTING
     venting, moves = control["venting"], control["first_motion"]
     control["state"], control["first_cause"] = state, Cause.POWER_UP

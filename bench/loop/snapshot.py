@@ -38,20 +38,18 @@ SNAPSHOT = np.dtype(
 )
 """A ControlState after the step of `tick` at `time` (s, the loop's)."""
 
-_KEPT = ("control", "encoder", "estimator", "pid", "model", "air")
-
 
 def pack_snapshot(state: ControlState, snapshot: np.ndarray[Any, Any]) -> None:
     """Copy `state` into `snapshot` (one-element array of SNAPSHOT)."""
     snapshot["tick"], snapshot["time"] = state.control["tick"], state.control["time"]
-    for name in _KEPT:
+    for name in ControlState._fields:
         snapshot[name] = getattr(state, name)
 
 
 def unpack_snapshot(snapshot: np.ndarray[Any, Any]) -> ControlState:
     """Return a new ControlState with the values of `snapshot`."""
     state = new_control_state()
-    for name in _KEPT:
+    for name in ControlState._fields:
         getattr(state, name)[:] = snapshot[name]
     return state
 
