@@ -390,18 +390,7 @@ _HELD_BY_AIR = 0.2
 """Share of a joint's static friction that the air of a chamber which holds nothing up may carry."""
 _RESOLVED = 3.0e3
 """Pressure over the atmosphere that a sensor is sure to show (Pa)."""
-_FOLLOWED = {
-    "homing": Phase.HOMING,
-    "hold": Phase.HOLD,
-    "backswing": Phase.BACKSWING,
-    "top": Phase.TOP,
-    "downswing": Phase.DOWNSWING,
-    "committed": Phase.COMMITTED,
-    "follow_through": Phase.FOLLOW_THROUGH,
-    "return": Phase.RETURN,
-}
-
-
+_FOLLOWED = {phase.name.lower(): phase for phase in Phase if phase not in (Phase.STANDING, Phase.IMPACT)}
 _WATCHED = _FOLLOWED | {"impact": Phase.IMPACT}
 MODEL_PHASES = {kind: _WATCHED | ({"standing": Phase.STANDING} if kind == "jump" else {}) for kind in KINDS}
 """Phases that have a limit, by comparison. While the robot stands only a jump means something."""
