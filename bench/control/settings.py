@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, field, fields, replace
+from functools import cache, partial
 from math import inf, pi
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -223,6 +226,17 @@ class HomingSettings:
             raise ValueError("direction: 1 or -1 for each joint")
 
 
+@cache
+def _limit_tables() -> dict[str, dict[str, Triple]]:
+    text = Path(__file__).with_name("default_limits.toml").read_text(encoding="utf-8")
+    tables = tomllib.loads(text).items()
+    return {kind: {row: (a, b, c) for row, (a, b, c) in rows.items()} for kind, rows in tables}
+
+
+def _default_limits(kind: str) -> dict[str, Triple]:
+    return dict(_limit_tables()[kind])
+
+
 @dataclass(frozen=True)
 class ModelSettings:
     """The model-based check (`bench.control.estimate.residual_monitor`) and its limits by phase.
@@ -238,81 +252,15 @@ class ModelSettings:
     record has it."""
     standard_errors: dict[str, NotNegative] = field(default_factory=dict)
     """Standard errors of measured values, by their keys below [plant]; limits are made with them."""
-    air: dict[str, PositiveTriple] = field(
-        default_factory=lambda: {
-            "homing": (4.0e4, 3.0e5, 8.0e4),
-            "hold": (3.0e4, 3.0e4, 3.0e4),
-            "backswing": (6.9e4, 5.1e4, 7.6e4),
-            "top": (4.8e4, 4.0e4, 5.9e4),
-            "downswing": (9.5e4, 1.7e5, 2.2e5),
-            "committed": (3.8e4, 2.0e5, 2.3e5),
-            "impact": (3.0e4, 8.3e4, 2.0e5),
-            "follow_through": (7.7e4, 7.1e5, 2.4e5),
-            "return": (3.0e4, 6.0e4, 1.1e5),
-            "arming": (1.1e5, 1.1e5, 1.1e5),
-        }
-    )
+    air: dict[str, PositiveTriple] = field(default_factory=partial(_default_limits, "air"))
     """Chamber pressures from the observer's, Pa."""
-    flow: dict[str, PositiveTriple] = field(
-        default_factory=lambda: {
-            "homing": (4.0e3, 1.2e5, 1.2e4),
-            "hold": (1.5e3, 1.3e4, 1.5e4),
-            "backswing": (6.8e3, 1.2e4, 2.5e4),
-            "top": (5.8e3, 1.1e4, 1.9e4),
-            "downswing": (1.1e4, 2.1e4, 2.8e4),
-            "committed": (7.2e3, 3.5e4, 2.6e4),
-            "impact": (7.0e3, 2.9e4, 1.9e4),
-            "follow_through": (1.1e4, 8.5e4, 2.4e4),
-            "return": (1.8e3, 2.1e4, 2.1e4),
-            "arming": (1.2e4, 2.1e4, 2.4e4),
-        }
-    )
+    flow: dict[str, PositiveTriple] = field(default_factory=partial(_default_limits, "flow"))
     """The same smoothed over 50 ms, Pa."""
-    velocity: dict[str, PositiveTriple] = field(
-        default_factory=lambda: {
-            "homing": (5.0, 5.0, 15.0),
-            "hold": (1.2, 1.2, 1.5),
-            "backswing": (5.1, 3.5, 7.0),
-            "top": (2.2, 1.9, 8.6),
-            "downswing": (5.5, 5.6, 22.0),
-            "committed": (8.1, 6.0, 16.0),
-            "impact": (30.0, 30.0, 60.0),
-            "follow_through": (56.0, 54.0, 86.0),
-            "return": (2.9, 1.7, 5.7),
-            "arming": (12.0, 9.0, 13.0),
-        }
-    )
+    velocity: dict[str, PositiveTriple] = field(default_factory=partial(_default_limits, "velocity"))
     """Joint velocities from their reference, rad/s."""
-    jump: dict[str, PositiveTriple] = field(
-        default_factory=lambda: {
-            "standing": (0.01, 0.01, 0.01),
-            "homing": (0.002, 0.002, 0.002),
-            "hold": (0.0015, 0.0015, 0.0015),
-            "backswing": (0.0015, 0.0015, 0.0015),
-            "top": (0.0015, 0.0015, 0.0015),
-            "downswing": (0.0015, 0.0015, 0.002),
-            "committed": (0.0015, 0.0015, 0.0029),
-            "impact": (0.004, 0.004, 0.04),
-            "follow_through": (0.027, 0.034, 0.045),
-            "return": (0.0015, 0.0015, 0.0015),
-            "arming": (0.0015, 0.0015, 0.0015),
-        }
-    )
+    jump: dict[str, PositiveTriple] = field(default_factory=partial(_default_limits, "jump"))
     """Samples from their prediction, rad."""
-    effort: dict[str, PositiveTriple] = field(
-        default_factory=lambda: {
-            "homing": (1500.0, 1500.0, 300.0),
-            "hold": (47.0, 80.0, 27.0),
-            "backswing": (38.0, 110.0, 24.0),
-            "top": (30.0, 150.0, 12.0),
-            "downswing": (32.0, 120.0, 41.0),
-            "committed": (58.0, 180.0, 47.0),
-            "impact": (120.0, 150.0, 50.0),
-            "follow_through": (150.0, 180.0, 60.0),
-            "return": (30.0, 76.0, 15.0),
-            "arming": (38.0, 120.0, 20.0),
-        }
-    )
+    effort: dict[str, PositiveTriple] = field(default_factory=partial(_default_limits, "effort"))
     """Torque from the chambers' pressures from that of the motion, N m."""
 
     @property
