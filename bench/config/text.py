@@ -5,18 +5,20 @@ from __future__ import annotations
 import inspect
 import json
 import textwrap
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
+import sim
 from bench.base.from_toml import expected, suffixes
 from bench.base.json_schema import field_docs
 from bench.base.to_toml import toml_value
 from bench.config.files import keys_of, plain
 from bench.config.settings import Configuration
 from drivers.base.ranges import short
-from sim.parameter_sources import ORIGINS
 
 _COLUMN = 34
 _WIDTH = 110
@@ -24,6 +26,8 @@ _HEAD = """\
 # The complete configuration of golfbench as shipped: every key with its meaning, unit and bounds.
 # In a file that begins with `base = "shipped"` give only the keys you change.
 """
+_SOURCES = Path(sim.__file__).with_name("parameter_sources.toml")
+"""Sources of the plant's values by dotted key."""
 _KINDS = ("a finite number", "a whole number", "a text in quotes", "a path in quotes")
 
 
@@ -127,10 +131,16 @@ def _bounds(hint: Any, suffix: str) -> str:
     return text.removeprefix(",").strip().removeprefix("of ")
 
 
+@cache
+def _origins() -> dict[str, str]:
+    return tomllib.loads(_SOURCES.read_text(encoding="utf-8"))
+
+
 def _with_origin(docs: str, path: str) -> str:
     table, _, key = path.partition(".")
-    of_actuator = ORIGINS.get(key.partition(".")[2], "")
-    origin = ORIGINS.get(key, of_actuator) if table == "plant" else ""
+    origins = _origins()
+    of_actuator = origins.get(key.partition(".")[2], "")
+    origin = origins.get(key, of_actuator) if table == "plant" else ""
     return "; ".join(part for part in (" ".join(docs.split()).removesuffix("."), origin) if part)
 
 
