@@ -7,9 +7,20 @@ driver (360 Hz) and three with an iron (240 Hz), clocks scaled from the top to t
 shoulders and arms as `bench.golfer` measures them. Assumed: that other golfers of either sex and any age move
 alike. Head speed and backswing have the sources in `text`.
 
-The two-handicap golfer is the thesis': Hunt's functions (`bench.swing.hunt`) as given for shoulder and right
-arm. The wrist is free, so that its angle is the torque-free response of the club, within the human wrist's
-range. Past its end each motion continues at its last speed until the head passes the ball.
+The two-handicap golfer is the thesis': Hunt's functions as given for shoulder and right arm. The wrist is
+free, so that its angle is the torque-free response of the club, within the human wrist's range. Past its end
+each motion continues at its last speed until the head passes the ball.
+
+Source of Hunt's functions: E. A. Hunt (2002, 2003), quoted in tables 1 and 2 of Meymi, "Modeling and control
+of parallel arm golfing robot", KTH 2009. They are as printed; `step` is ADAMS' cubic smooth step, not the
+tanh the thesis takes it for. The turn counts from address and is positive in the backswing: a robot that
+follows it has theta1 = theta1 at address - turn. Table 2 starts it at zero again, so the whole swing adds the
+turn at the top. The right arm's displacement counts from Hunt's zero (unpublished), negative is shorter.
+
+The thesis' own swing are the tables of its Appendix B, sample by sample (`thesis_swing`). Each axis has
+separate time and value vectors; the values are tanh curves over an abscissa that is not time. Three seams of
+the original are kept: the backswing ends at 0.68 s and the downswing starts at 0.686 s; the wrist has two
+samples at 0.4 s; and each curve jumps a little where two pieces meet.
 """
 
 from __future__ import annotations
@@ -19,23 +30,21 @@ from math import radians
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from bench.base.errors import BenchError, did_you_mean
-from bench.swing.hunt import (
-    BACKSWING_DURATION,
-    DOWNSWING_DURATION,
-    DOWNSWING_TURN,
-    right_arm_length,
-    shoulder_turn,
-)
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.kinematics import forward_kinematics, theta2_from_right_arm
 from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
+
+BACKSWING_DURATION, DOWNSWING_DURATION = 0.686, 0.1667
+"""Durations in Hunt's functions and in the thesis' tables (s)."""
+DOWNSWING_TURN = 11.8028
+"""Speed of Hunt's shoulder in the downswing (rad/s)."""
 
 _MPH = 0.44704
 _STEP = 2.5e-4
@@ -188,7 +197,7 @@ def _hunts_motion(plant: PlantParameters) -> tuple[Array, Array]:
     time: Array = np.arange(round(_MAX_LENGTH * DOWNSWING_DURATION / _STEP), dtype=float) * _STEP
     own = BACKSWING_DURATION + np.minimum(time, DOWNSWING_DURATION)
     past = np.maximum(time - DOWNSWING_DURATION, 0.0)
-    extension = _ADDRESS[1] + right_arm_length(own) - _RIGHT_ARM_AT_ADDRESS
+    extension = _ADDRESS[1] + arm_displacement(own) - _RIGHT_ARM_AT_ADDRESS
     angle, speed = np.zeros((len(time), 3)), np.zeros((len(time), 3))
     angle[:, 0] = _ADDRESS[0] - shoulder_turn(own) + DOWNSWING_TURN * past
     angle[:, 1] = theta2_from_right_arm(robot, _THESIS_ARM + extension)
@@ -197,3 +206,88 @@ def _hunts_motion(plant: PlantParameters) -> tuple[Array, Array]:
     angle[0, 2] = max(2 * np.pi - _COCK_AT_TOP, _WRIST[0])
     free_wrist(robot.record, angle, speed, np.gradient(speed[:, 1], _STEP), *_WRIST, _STEP)
     return time, angle
+
+
+def step(t: ArrayLike, t0: float, h0: float, t1: float, h1: float) -> Array:
+    """Return ADAMS' STEP: h0 before t0, h1 after t1, h0 + (h1 - h0) s^2 (3 - 2 s) between.
+
+    `t` has any shape; ValueError unless t0 < t1.
+    """
+    if not t0 < t1:
+        raise ValueError(f"step: found t0 = {t0}, t1 = {t1}; t0 must lie before t1")
+    s = np.clip((np.asarray(t, dtype=float) - t0) / (t1 - t0), 0.0, 1.0)
+    return np.asarray(h0 + (h1 - h0) * s**2 * (3.0 - 2.0 * s))
+
+
+def shoulder_turn(t: ArrayLike) -> Array:
+    """Return the shoulder turn (rad) at time t (s) from the start of the backswing."""
+    t = np.asarray(t, dtype=float)
+    back = np.minimum(t, BACKSWING_DURATION)
+    down = np.maximum(t - BACKSWING_DURATION, 0.0)
+    return np.asarray(2.639 * back - DOWNSWING_TURN * down)
+
+
+def arm_displacement(t: ArrayLike) -> Array:
+    """Return the right arm's displacement (m) at time t (s) from the start of the backswing."""
+    t = np.asarray(t, dtype=float)
+    back = step(t, 0.2, 0.0, BACKSWING_DURATION, -0.2035) - 0.03032
+    down = step(t - BACKSWING_DURATION, 0.0, 0.0, DOWNSWING_DURATION, 0.2035) - 0.23382
+    return np.where(t < BACKSWING_DURATION, back, down)
+
+
+class Table(NamedTuple):
+    """One axis: sample times (s, not decreasing) and values, both (N,)."""
+
+    time: Array
+    value: Array
+
+
+@dataclass(frozen=True)
+class ThesisSwing:
+    """The three tables of Appendix B."""
+
+    shoulder: Table
+    """theta1 from its value at address, rad; 69 + 17 samples"""
+    right_arm: Table
+    """Right arm's displacement, m, negative is shorter; 69 + 17 samples"""
+    wrist: Table
+    """theta3, rad; 41 + 29 + 17 samples"""
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample, s."""
+        return float(self.shoulder.time[-1])
+
+
+def thesis_swing() -> ThesisSwing:
+    """Return the tables of Appendix B, computed as its MATLAB statements do."""
+    back = colon(0.0, 0.01, BACKSWING_DURATION)
+    down = colon(BACKSWING_DURATION, 0.01, BACKSWING_DURATION + DOWNSWING_DURATION)
+
+    shoulder_back = -2.639 * back
+    shoulder_down = 11.80 * (down - back[-1]) + shoulder_back[-1]
+
+    arm_back = -(np.tanh(colon(back[0] - 3.0, 0.088, 3.0)) + 1.0) * 0.10175
+    arm_down = (np.tanh(colon(down[0] - 3.0, 0.33, 3.0)) - 1.0) * 0.1025
+
+    first, second = colon(0.0, 0.01, 0.4), colon(0.4, 0.01, BACKSWING_DURATION)
+    wrist_first = -(np.tanh(colon(first[0] - 3.0, 0.15, 3.0)) - 35.0) * 0.3491 / 2.0
+    wrist_second = -(np.tanh(colon(second[0] - 3.0, 0.2, 3.0)) - 10.233) * 1.058 / 2.0
+    wrist_down = (7.976 + np.tanh(colon(down[0] - 3.0, 0.33, 3.0))) * 1.4 / 2.0
+
+    return ThesisSwing(
+        shoulder=_joined((back, shoulder_back), (down, shoulder_down)),
+        right_arm=_joined((back, arm_back), (down, arm_down)),
+        wrist=_joined((first, wrist_first), (second, wrist_second), (down, wrist_down)),
+    )
+
+
+def colon(start: float, step: float, stop: float) -> Array:
+    """Return start, start + step, … up to stop, as MATLAB's `start:step:stop` counts its samples."""
+    count = int(np.floor((stop - start) / step * (1.0 + 1e-12))) + 1
+    return start + step * np.arange(count, dtype=np.float64)
+
+
+def _joined(*pieces: tuple[Array, Array]) -> Table:
+    times, values = zip(*pieces, strict=True)
+    return Table(np.concatenate(times), np.concatenate(values))

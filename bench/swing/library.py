@@ -8,8 +8,6 @@ from bench.base.errors import BenchError, did_you_mean
 from bench.base.from_toml import parse_toml
 
 PROFILES = Path(__file__).with_name("profiles")
-THESIS = "thesis"
-"""Name of the thesis' own experiment, which is simulated but is not a profile."""
 
 
 def profile_names() -> list[str]:
@@ -36,9 +34,6 @@ def find_profile(name_or_path: str | Path) -> Path:
         return wanted
     names = profile_names()
     known = f"a path, or one of {', '.join(names)}" if names else "a path"
-    if str(wanted) == THESIS:
-        action = f"It is an experiment, not a profile: golfbench profile simulate {THESIS}"
-        raise BenchError(f"profile {THESIS}", "not a profile", known, action)
     action = did_you_mean(
         wanted.name.removesuffix(".toml"), names, "`golfbench profile list` shows the known ones."
     )

@@ -35,7 +35,6 @@ from bench.commands.common.output import plain_table, progress_of
 from bench.commands.swing.profile_design import design
 
 if TYPE_CHECKING:
-    from bench.config import Configuration
     from bench.design.stop_verification import TrialOutcome, TrialSummary
     from bench.swing.profile import FollowedGolfer, Profile
     from sim.plant import PlantParameters
@@ -50,7 +49,7 @@ Name = Annotated[str, argument("PROFILE", "Name or path of a profile.", complete
 @app.command("list")
 def list_profiles(json_: Json = False) -> None:
     """Show the profiles that come with golfbench."""
-    from bench.swing.library import THESIS, find_profile, profile_names
+    from bench.swing.library import find_profile, profile_names
     from bench.swing.profile import load_profile
 
     profiles = [(name, load_profile(find_profile(name))) for name in profile_names()]
@@ -58,9 +57,7 @@ def list_profiles(json_: Json = False) -> None:
         keys = ("text", "golfer", "club", "period", "impact_time", "duration", "delivery", "limits")
         found = [{"name": name} | {key: getattr(profile, key) for key in keys} for name, profile in profiles]
         return show_json(found)
-    console = Console()
-    console.print(listing(profiles) if profiles else "No profiles here yet.")
-    console.print(f"Also: golfbench profile simulate {THESIS}, the thesis' own experiment.", highlight=False)
+    Console().print(listing(profiles) if profiles else "No profiles here yet.")
 
 
 @app.command()
@@ -93,14 +90,7 @@ def show(
 @app.command()
 def simulate(
     context: typer.Context,
-    profile: Annotated[
-        str,
-        argument(
-            "PROFILE",
-            'Name or path of a profile, or "thesis" for the thesis experiment.',
-            complete=known_profiles,
-        ),
-    ],
+    profile: Name,
     output: Annotated[
         Path | None, option("Folder for pictures and records.", "DIR", shown="DATA_DIR/simulations/NAME")
     ] = None,
@@ -112,28 +102,15 @@ def simulate(
 
     Exits with 1 if the shot is invalid.
     """
-    from bench.swing.library import THESIS
-
-    configuration = context.ensure_object(Session).configuration()
-    if output is None:
-        output = configuration.bench.data_dir / "simulations" / Path(profile).stem
-    if profile == THESIS:
-        from bench.commands.swing.thesis_report import simulate_thesis
-
-        simulate_thesis(output, json_)
-        return
-    _simulate(configuration, profile, club, ball, output, json_)
-
-
-def _simulate(
-    configuration: Configuration, name: str, club: str | None, ball: str | None, output: Path, json_: bool
-) -> None:
     from bench.design.swing_result import outcome_record, outcome_table, write_outcome
     from bench.records.shot.recorded_shot import FlightConditions
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
     from bench.supervisor.readiness import assess_bench
 
-    ready = assess_bench(configuration, datetime.now(UTC), name, club=club)
+    configuration = context.ensure_object(Session).configuration()
+    if output is None:
+        output = configuration.bench.data_dir / "simulations" / Path(profile).stem
+    ready = assess_bench(configuration, datetime.now(UTC), profile, club=club)
     ready.require_possible()
     swing, configuration = ready.profile, ready.configuration
     plant = configuration.plant_with(ball=ball)

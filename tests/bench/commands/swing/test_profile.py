@@ -178,8 +178,6 @@ def test_commands_unknown_name_is_refused_with_suggestion(run: Run) -> None:
     assert (answer.code, "one of tour, range" in answer.err) == (ExitCode.BAD_INPUT, True)
     answer = run("--config", "smal_plant", "check")
     assert (answer.code, "small_plant" in answer.err) == (ExitCode.BAD_INPUT, True)
-    answer = run("profile", "show", "thesis")
-    assert (answer.code, "golfbench profile simulate thesis" in answer.err) == (ExitCode.BAD_INPUT, True)
 
 
 def test_profile_list_shows_one_line_per_profile(run: Run) -> None:
