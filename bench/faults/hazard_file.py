@@ -7,9 +7,9 @@ modes and effects analysis, the required performance levels the risk graph of IS
 from __future__ import annotations
 
 import json
+import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
@@ -19,7 +19,6 @@ from typing import Any
 import jinja2
 
 from bench.base.errors import BenchError
-from bench.base.from_toml import as_tree, format_value, read_toml
 from bench.faults.catalogue import HARDWARE
 from sim.faults import sort_of
 
@@ -117,7 +116,8 @@ def _row(cells: Sequence[Any]) -> str:
     return f"| {' | '.join(str(cell).replace('|', '/') for cell in cells)} |"
 
 
-FILE = Path(__file__).with_name("hazard_file.toml")
+JUDGEMENT = Path(__file__).with_name("hazard_file.toml")
+"""The judgement, written by people; `tests/faults/test_hazard_file.py` checks its form."""
 
 RISK_GRAPH: Mapping[tuple[str, str, str], str] = {
     ("S1", "F1", "P1"): "a",
@@ -140,124 +140,19 @@ SEVERITIES = (
 )
 """Meanings of the severities 1 to 4; IEC 60812 sets no scale."""
 
-_KEYS: Mapping[str, tuple[str, ...]] = {
-    "sources": ("standard", "read", "used"),
-    "failures": (
-        *("item", "function", "mode", "signals", "effect", "severity", "safe_state", "remains"),
-        *("proof_test", "interval", "owner"),
-    ),
-    "untried": ("item", "mode", "effect", "severity", "measure", "proof_test", "interval", "owner"),
-    "functions": (
-        *("name", "standard", "demand", "reaction", "safe_state", "s", "f", "p", "why", "category", "means"),
-        *("proof_test", "interval", "open"),
-    ),
-    "hazards": ("hazard", "where", "consequence", "measures", "open"),
-}
-"""Keys of each entry of a list; failures may also have `kinds`."""
-_TABLES = ("intervals", "owners", "open")
 
-
-@dataclass(frozen=True)
-class Judgement:
-    """The judgement as written in a file, checked."""
-
-    scope: str
-    lists: Mapping[str, Sequence[Mapping[str, Any]]]
-    """Entries by list: sources, failures, untried, functions, hazards."""
-    tables: Mapping[str, Mapping[str, str]]
-    """intervals, owners, open."""
-
-
-def load_judgement(path: Path = FILE) -> Judgement:
-    """Return the judgement in the file `path`.
-
-    Raises:
-        BenchError: the file is missing, unreadable or not TOML.
-        ExceptionGroup: one BenchError per mistake in it.
-    """
-    read = read_toml(path, "the judgement of a hazard file", "Correct the path.")
-    faults: list[BenchError] = []
-    as_tree({key: value for key, value in read.items() if isinstance(value, dict)}, path, faults)
-    for name in (*_KEYS, *_TABLES, "scope"):
-        if name not in read:
-            faults.append(BenchError(f"{path}: {name}", "missing", "an entry", f"Add {name} to {path}."))
-    for name in set(read) - {*_KEYS, *_TABLES, "scope"}:
-        faults.append(
-            BenchError(
-                f"{path}: {name}", "unknown", f"one of {', '.join(_KEYS)}", f"Correct the key in {path}."
-            )
-        )
-    if not faults:
-        for name in _KEYS:
-            for count, entry in enumerate(read[name]):
-                faults += _entry_faults(f"{path}: {name}[{count}]", name, entry, read)
-    if faults:
-        raise ExceptionGroup(f"{path} is not a valid judgement", faults)
-    return Judgement(
-        read["scope"].strip(), {name: read[name] for name in _KEYS}, {name: read[name] for name in _TABLES}
-    )
-
-
-def _entry_faults(
-    location: str, name: str, entry: Mapping[str, Any], read: Mapping[str, Any]
-) -> list[BenchError]:
-    """Return the mistakes in one entry of the list `name`."""
-    faults = []
-    allowed = {*_KEYS[name], *(("kinds",) if name == "failures" else ())}
-    for key in _KEYS[name]:
-        if not entry.get(key):
-            faults.append(BenchError(f"{location}.{key}", "missing", "a text", f"Add the key {key}."))
-    for key in set(entry) - allowed:
-        faults.append(
-            BenchError(
-                f"{location}.{key}",
-                "unknown",
-                f"one of {', '.join(sorted(allowed))}",
-                f"Correct the key in {location}.",
-            )
-        )
-    for key, table in (("interval", "intervals"), ("owner", "owners")):
-        if key in entry and entry[key] not in read[table]:
-            known = f"one of {', '.join(read[table])}"
-            faults.append(
-                BenchError(
-                    f"{location}.{key}", format_value(entry[key]), known, f"Correct the value of {key}."
-                )
-            )
-    if "severity" in entry and entry["severity"] not in (1, 2, 3, 4):
-        faults.append(
-            BenchError(
-                f"{location}.severity", format_value(entry["severity"]), "1 to 4", "Set severity from 1 to 4."
-            )
-        )
-    if name == "functions" and _risk(entry) not in RISK_GRAPH:
-        found = " ".join(_risk(entry))
-        faults.append(
-            BenchError(f"{location}.s", found, "S1 or S2, F1 or F2, P1 or P2", "Correct the keys s, f and p.")
-        )
-    return faults
-
-
-def _risk(function: Mapping[str, Any]) -> tuple[str, str, str]:
-    return str(function.get("s")), str(function.get("f")), str(function.get("p"))
-
-
-def hazard_file(summary: Mapping[str, Any], judgement: Judgement) -> str:
+def hazard_file(summary: Mapping[str, Any]) -> str:
     """Return the hazard file as Markdown from the matrix's `summary`.
 
     Raises:
         ExceptionGroup: one BenchError per row of the matrix that no failure or several claim.
     """
-    claimed = _claims(summary["rows"], judgement.lists["failures"])
-    failures = [
-        {**failure, **_figures(rows)}
-        for failure, rows in zip(judgement.lists["failures"], claimed, strict=True)
-    ]
+    judgement = tomllib.loads(JUDGEMENT.read_text(encoding="utf-8"))
+    failures = judgement["failures"]
+    claimed = zip(failures, _claims(summary["rows"], failures), strict=True)
     return markdown(
         "hazard_file.md.j2",
-        **judgement.tables,
-        **{**judgement.lists, "failures": failures},
-        scope=judgement.scope,
+        **judgement | {"failures": [{**failure, **_figures(rows)} for failure, rows in claimed]},
         summary=summary,
         digest=matrix_digest(summary),
         next_swing=next_swing_text(summary),

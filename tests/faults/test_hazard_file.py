@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from itertools import product
 from pathlib import Path
 
 import pytest
 
-from bench.base.errors import BenchError
-from bench.faults.hazard_file import FILE, RISK_GRAPH, hazard_file, load_judgement
+from bench.faults.hazard_file import JUDGEMENT, RISK_GRAPH, hazard_file
 from tests.faults.made_matrix import whole_matrix
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,13 +24,13 @@ def judged(text: str) -> str:
 
 
 def test_committed_hazard_file_matches_judgement() -> None:
-    made = hazard_file(whole_matrix(), load_judgement())
+    made = hazard_file(whole_matrix())
     assert judged((ROOT / "sim" / "HAZARDS.md").read_text()) == judged(made), "run make faults"
 
 
 def test_hazard_file_counts_every_case_once() -> None:
     summary = whole_matrix()
-    text = hazard_file(summary, load_judgement())
+    text = hazard_file(summary)
     rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| F")]
     cases = [cells[7].replace(":", ",").split(", ") for cells in rows]
     assert sum(int(cell[0]) for cell in cases) == summary["cases"]
@@ -42,7 +42,7 @@ def test_hazard_file_unknown_fault_is_refused() -> None:
     summary = whole_matrix()
     summary["rows"].append(summary["rows"][0] | {"signal": "brake", "breakage": "brake stuck"})
     with pytest.raises(ExceptionGroup) as caught:
-        hazard_file(summary, load_judgement())
+        hazard_file(summary)
     assert [str(fault).split(":")[1] for fault in caught.value.exceptions] == [" brake stuck"]
 
 
@@ -55,32 +55,25 @@ def test_risk_graph_level_never_decreases_with_risk() -> None:
     assert (RISK_GRAPH["S1", "F1", "P1"], RISK_GRAPH["S2", "F2", "P2"]) == ("a", "e")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("severity = 4", "severity = 5", "1 to 4"),
-        ('interval = "year"', 'interval = "decade"', "half_year"),
-        ('owner = "maintenance"', 'owner = "unknown"', "integrator"),
-        ('remains = "the pattern', 'left = "the pattern', "remains"),
-        ('f = "F1"', 'f = "F3"', "F1 or F2"),
-    ],
-)
-def test_load_judgement_mistake_refusal_names_file(tmp_path: Path, old: str, new: str, words: str) -> None:
-    text = FILE.read_text()
-    assert old in text
-    file = tmp_path / "judgement.toml"
-    file.write_text(text.replace(old, new, 1))
-    with pytest.raises(ExceptionGroup) as caught:
-        load_judgement(file)
-    message = " ".join(str(fault) for fault in caught.value.exceptions)
-    assert words in message
-    assert "judgement.toml" in message
+KEYS = {
+    "sources": "standard read used",
+    "failures": "item function mode signals effect severity safe_state remains proof_test interval owner",
+    "untried": "item mode effect severity measure proof_test interval owner",
+    "functions": "name standard demand reaction safe_state s f p why category means proof_test interval open",
+    "hazards": "hazard where consequence measures open",
+}
+"""Keys of each entry of a list; failures may also have `kinds`."""
 
 
-def test_load_judgement_missing_list_or_file_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "judgement.toml"
-    file.write_text('scope = "all"\n')
-    with pytest.raises(ExceptionGroup):
-        load_judgement(file)
-    with pytest.raises(BenchError, match="no such file"):
-        load_judgement(tmp_path / "none.toml")
+def test_judgement_entries_are_complete() -> None:
+    read = tomllib.loads(JUDGEMENT.read_text())
+    assert set(read) == {*KEYS, "intervals", "owners", "open", "scope"}
+    for name, keys in KEYS.items():
+        for entry in read[name]:
+            assert set(entry) - {"kinds"} == set(keys.split()), entry
+            assert all(entry.values()), entry
+            assert "kinds" not in entry or name == "failures"
+            assert entry.get("interval", "year") in read["intervals"], entry
+            assert entry.get("owner", "bench") in read["owners"], entry
+            assert entry.get("severity", 1) in (1, 2, 3, 4), entry
+    assert all((entry["s"], entry["f"], entry["p"]) in RISK_GRAPH for entry in read["functions"])

@@ -258,10 +258,9 @@ def hazard_file_of(
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
 ) -> None:
     """Write the hazard file: failure modes, safety functions and hazards to people, as in sim/HAZARDS.md."""
-    from bench.faults.hazard_file import FILE, hazard_file, load_judgement
+    from bench.faults.hazard_file import hazard_file
 
-    judged = load_judgement(FILE)
-    write_text(_from_matrix(matrix, lambda summary: hazard_file(summary, judged)), output)
+    write_text(_from_matrix(matrix, hazard_file), output)
 
 
 def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str:
