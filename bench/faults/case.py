@@ -14,10 +14,8 @@ from bench.base.lifecycle import CAUSE_TEXT, Request, State
 from bench.config import Configuration
 from bench.control.settings import SIMULATED, build_controller, holding_pressure
 from bench.control.step_records import ControlParameters, new_control_state
-from bench.faults.case_run import Watch, WatchedRun
-from bench.faults.catalogue import Breakage, Event
-from bench.faults.instants import Instant
-from bench.faults.next_swing import next_swing
+from bench.faults.case_run import Watch, WatchedRun, next_swing
+from bench.faults.catalogue import Breakage, Event, Instant
 from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import SafetyLimits

@@ -1,6 +1,7 @@
 """A run of the bench from a fault until everything rests, and the observations made on the way.
 
-They are the plant's true state, not the bench's estimate; the records also contain the bench's reports.
+They are the plant's true state, not the bench's estimate; the records also contain the bench's reports. An
+unnoticed fault may be detected by the next swing, before another ball is struck.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.lifecycle import Answer, Phase, Refusal, Request, State
+from bench.base.lifecycle import REFUSAL_TEXT, Answer, Cause, Phase, Refusal, Request, State
 from bench.loop.loop import Cycles
 from bench.simulation.safety import Loads, RunEnd
 from bench.simulation.swing_operator import LockstepEngine
@@ -35,6 +36,8 @@ _EMPTY, _MAX_CREEP_TIME = 0.05e5, 600.0
 which a stopped robot is not waited for, s: on trapped air that leaks away a joint slips every few seconds."""
 
 
+_NEXT_SWING_TIMEOUT = 90.0
+"""Time after which a next swing that never comes is given up, s."""
 _REPEATED = (Request.HOME, Request.ACCESS, Request.SWING)
 """Requests that are put until they are accepted: what they need comes with time."""
 
@@ -270,3 +273,49 @@ def _frame_distance(plant: Plant, cycles: Cycles) -> float:
     x, y = r["l12"] * np.cos(a1) + r["l23"] * np.cos(a12), r["l12"] * np.sin(a1) + r["l23"] * np.sin(a12)
     along = np.clip(-(x * np.cos(theta) + y * np.sin(theta)), 0.0, r["l3t"])
     return float(np.hypot(x + along * np.cos(theta), y + along * np.sin(theta)).min())
+
+
+def next_swing(bench: LockstepEngine) -> str:
+    """Make `bench` ready for another ball as an operator does, and swing.
+
+    Return the name of the cause that stops it before the ball, or of a request that is refused for good, with
+    the reason. "" if the ball is struck.
+    """
+    plant, latched, refused = bench.plant_state, bench.cause, ""
+    plant["emergency_stop_clear"] = plant["guard_closed"] = True
+    teed = False
+    for _ in range(round(_NEXT_SWING_TIMEOUT / (bench.period * _CHUNK))):
+        if not teed and bench.resting():
+            bench.tee_up(ball=True)
+            teed = True
+        request = _due(bench)
+        if request in (Request.RESET, Request.SECURE):
+            plant["local_reset"] = True  # a person presses the button next to the robot
+            bench.advance(_CHUNK)
+            plant["local_reset"] = False
+        cycles = bench.advance(_CHUNK, request)
+        if request and cycles["answer"][0] == Answer.REFUSED:
+            why = REFUSAL_TEXT[Refusal(int(cycles["refusal"][0]))]
+            refused = f"{Request(request).name.lower()} refused: {why}"
+        if bench.cause not in (Cause.NONE, latched):
+            return bench.cause.name
+        latched = bench.cause
+        if teed and bool(plant["struck"][0]):
+            return ""
+    return refused or "it never swings"
+
+
+def _due(bench: LockstepEngine) -> int:
+    """Return the request that an operator puts next; 0: wait."""
+    state = State(int(bench.control["state"][0]))
+    if state in (State.FAULT, State.ESTOP):
+        return Request.RESET
+    if state is State.ACCESS:
+        return Request.SECURE
+    if state is State.SAFE:
+        return Request.HOME
+    if state is State.READY and bench.is_vented():
+        return Request.ARM
+    if state is State.ARMED and bench.resting() and bench.control["tee"][0]:
+        return Request.SWING
+    return 0

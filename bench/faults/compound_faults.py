@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import nan, pi
+from math import pi
 
-from bench.faults.catalogue import SINGLE, THROTTLED, Breakage, Event
+from bench.faults.catalogue import SINGLE, THROTTLED, Breakage, Event, new_fault
 from drivers.base import CHAMBERS, JOINTS
-from sim.faults import Fault, Kind
+from sim.faults import Fault
 
 _STOPS: tuple[Event, ...] = ("stop", "emergency stop", "guard opened")
-
-
-def _fault(signal: str, kind: Kind, value: float = nan, text: str = "") -> Fault:
-    return Fault(text or f"{signal} {kind}", signal, kind, value)
 
 
 def _valves() -> tuple[Fault, ...]:
@@ -21,11 +17,11 @@ def _valves() -> tuple[Fault, ...]:
         fault
         for joint in JOINTS
         for fault in (
-            _fault(f"{joint} valve", "off", text=f"{joint} valve without energy"),
-            _fault(f"{joint} valve", "stuck", 1.0, f"{joint} valve stuck open"),
-            _fault(f"{joint} valve", "stuck", -1.0, f"{joint} valve stuck open in reverse"),
-            _fault(f"{joint} valve", "stuck", text=f"{joint} valve stuck where it stands"),
-            _fault(f"{joint} valve", "offset", 0.3, f"{joint} valve +30 %"),
+            new_fault(f"{joint} valve", "off", text=f"{joint} valve without energy"),
+            new_fault(f"{joint} valve", "stuck", 1.0, f"{joint} valve stuck open"),
+            new_fault(f"{joint} valve", "stuck", -1.0, f"{joint} valve stuck open in reverse"),
+            new_fault(f"{joint} valve", "stuck", text=f"{joint} valve stuck where it stands"),
+            new_fault(f"{joint} valve", "offset", 0.3, f"{joint} valve +30 %"),
         )
     )
 
@@ -35,19 +31,19 @@ def _encoders() -> tuple[Fault, ...]:
         fault
         for joint in JOINTS
         for fault in (
-            _fault(f"{joint} encoder", "off"),
-            _fault(f"{joint} encoder", "stuck"),
-            _fault(f"{joint} encoder", "garbage"),
-            _fault(f"{joint} encoder", "offset", 0.1, f"{joint} encoder +0.1 rad"),
+            new_fault(f"{joint} encoder", "off"),
+            new_fault(f"{joint} encoder", "stuck"),
+            new_fault(f"{joint} encoder", "garbage"),
+            new_fault(f"{joint} encoder", "offset", 0.1, f"{joint} encoder +0.1 rad"),
         )
     )
 
 
 _AIR = (
-    _fault("supply", "off", text="supply lost"),
-    _fault("supply", "stuck", 1.0, "supply valve stuck open"),
-    _fault("supply", "stuck", 0.0, "supply valve stuck shut"),
-    _fault("vents", "stuck", 1.0, "vents stuck shut"),
+    new_fault("supply", "off", text="supply lost"),
+    new_fault("supply", "stuck", 1.0, "supply valve stuck open"),
+    new_fault("supply", "stuck", 0.0, "supply valve stuck shut"),
+    new_fault("vents", "stuck", 1.0, "vents stuck shut"),
 )
 
 DURING_A_STOP: tuple[Breakage, ...] = tuple(
@@ -57,14 +53,14 @@ DURING_A_STOP: tuple[Breakage, ...] = tuple(
         *_encoders(),
         *_AIR,
         *(
-            _fault(f"{chamber} sensor", "stuck", 1.0e5, f"{chamber} sensor stuck at 1 bar")
+            new_fault(f"{chamber} sensor", "stuck", 1.0e5, f"{chamber} sensor stuck at 1 bar")
             for chamber in CHAMBERS
         ),
-        _fault("supply sensor", "off"),
-        _fault("link", "off", text="link cut"),
-        _fault("clock", "stuck", text="clock stands still"),
-        _fault("loop", "off", text="loop dead"),
-        _fault("supervisor", "off", text="supervisor dead"),
+        new_fault("supply sensor", "off"),
+        new_fault("link", "off", text="link cut"),
+        new_fault("clock", "stuck", text="clock stands still"),
+        new_fault("loop", "off", text="loop dead"),
+        new_fault("supervisor", "off", text="supervisor dead"),
     )
     for event in _STOPS
 )
@@ -75,14 +71,14 @@ def _mounted_wrong(joint: str) -> tuple[Fault, ...]:
     signal = f"{joint} encoder"
     return (
         *(
-            _fault(signal, "offset", value, f"{signal} {value:+g} rad")
+            new_fault(signal, "offset", value, f"{signal} {value:+g} rad")
             for value in (0.02, 0.05, 0.1, 0.15, 0.3, -0.05, -0.15)
         ),
-        _fault(signal, "offset", 2.0 * pi, f"{signal} +1 turn"),
-        _fault(signal, "offset", -4.0 * pi, f"{signal} -2 turns"),
-        _fault(signal, "scale", 0.9, f"{signal} × 0.9"),
-        _fault(signal, "scale", -1.0, f"{signal} reversed"),
-        _fault(signal, "stuck"),
+        new_fault(signal, "offset", 2.0 * pi, f"{signal} +1 turn"),
+        new_fault(signal, "offset", -4.0 * pi, f"{signal} -2 turns"),
+        new_fault(signal, "scale", 0.9, f"{signal} × 0.9"),
+        new_fault(signal, "scale", -1.0, f"{signal} reversed"),
+        new_fault(signal, "stuck"),
     )
 
 
@@ -93,32 +89,32 @@ FROM_THE_START: tuple[Breakage, ...] = tuple(
     for fault in (
         *(fault for joint in JOINTS for fault in _mounted_wrong(joint)),
         *(
-            _fault(f"{a} encoder", "swapped", b_number, f"{a} and {b} encoders swapped")
+            new_fault(f"{a} encoder", "swapped", b_number, f"{a} and {b} encoders swapped")
             for a, b, b_number in _PAIRS
         ),
         *(
-            _fault(f"{a} valve", "swapped", b_number, f"{a} and {b} valves swapped")
+            new_fault(f"{a} valve", "swapped", b_number, f"{a} and {b} valves swapped")
             for a, b, b_number in _PAIRS
         ),
-        *(_fault(f"{joint} valve", "scale", -1.0, f"{joint} valve reversed") for joint in JOINTS),
-        *(_fault(f"{joint} valve", "leaking", 0.05, f"{joint} valve leaking 5 %") for joint in JOINTS),
-        *(_fault(f"{chamber} sensor", "off") for chamber in CHAMBERS),
-        *(_fault(f"{chamber} sensor", "scale", 0.7, f"{chamber} sensor × 0.7") for chamber in CHAMBERS),
-        _fault("supply sensor", "off"),
-        _fault("supply sensor", "scale", 0.7, "supply sensor × 0.7"),
-        _fault("supply", "scale", 0.7, "supply sagging to 70 %"),
-        _fault("supply", "scale", 1.4, "supply surging to 140 %"),
-        _fault("vents", "stuck", 1.0, "vents stuck shut"),
-        _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
+        *(new_fault(f"{joint} valve", "scale", -1.0, f"{joint} valve reversed") for joint in JOINTS),
+        *(new_fault(f"{joint} valve", "leaking", 0.05, f"{joint} valve leaking 5 %") for joint in JOINTS),
+        *(new_fault(f"{chamber} sensor", "off") for chamber in CHAMBERS),
+        *(new_fault(f"{chamber} sensor", "scale", 0.7, f"{chamber} sensor × 0.7") for chamber in CHAMBERS),
+        new_fault("supply sensor", "off"),
+        new_fault("supply sensor", "scale", 0.7, "supply sensor × 0.7"),
+        new_fault("supply", "scale", 0.7, "supply sagging to 70 %"),
+        new_fault("supply", "scale", 1.4, "supply surging to 140 %"),
+        new_fault("vents", "stuck", 1.0, "vents stuck shut"),
+        new_fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
         *(
-            _fault(f"{chamber} relief", "leaking", 0.05, f"{chamber} relief leaking 5 %")
+            new_fault(f"{chamber} relief", "leaking", 0.05, f"{chamber} relief leaking 5 %")
             for chamber in CHAMBERS
         ),
-        _fault("manifold relief", "stuck", 0.0, "manifold relief stuck open"),
-        _fault("manifold relief", "leaking", 0.05, "manifold relief leaking 5 %"),
-        _fault("guard locked", "stuck", 1.0, "guard locked stuck on"),
-        _fault("local reset", "stuck", 1.0, "local reset stuck pressed"),
-        _fault("clock", "scale", 1.05, "clock 5 % fast"),
+        new_fault("manifold relief", "stuck", 0.0, "manifold relief stuck open"),
+        new_fault("manifold relief", "leaking", 0.05, "manifold relief leaking 5 %"),
+        new_fault("guard locked", "stuck", 1.0, "guard locked stuck on"),
+        new_fault("local reset", "stuck", 1.0, "local reset stuck pressed"),
+        new_fault("clock", "scale", 1.05, "clock 5 % fast"),
     )
 )
 """Machines that were built or mounted wrong: homed, armed and swung once, where the bench lets them."""
@@ -144,35 +140,37 @@ LATENT_PAIRS: tuple[Breakage, ...] = (
         if joint in chamber.split()
         for opening, text in ((1.0, "open"), (-1.0, "open in reverse"))
         for breakage in _behind(
-            _fault(f"{chamber} sensor", "off"),
-            _in_the_swing(_fault(f"{joint} valve", "stuck", opening, f"{joint} valve stuck {text}")),
+            new_fault(f"{chamber} sensor", "off"),
+            _in_the_swing(new_fault(f"{joint} valve", "stuck", opening, f"{joint} valve stuck {text}")),
         )
     ),
     *_behind(
-        _fault("supply sensor", "off"), (_fault("supply", "stuck", 1.0, "supply valve stuck open"),), "stop"
-    ),
-    *_behind(
-        _fault("supply sensor", "stuck", 1.0e5, "supply sensor stuck at 1 bar"),
-        (_fault("supply", "stuck", 1.0, "supply valve stuck open"),),
+        new_fault("supply sensor", "off"),
+        (new_fault("supply", "stuck", 1.0, "supply valve stuck open"),),
         "stop",
     ),
     *_behind(
-        _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
-        (_fault("supply", "stuck", 1.0, "supply valve stuck open"),),
+        new_fault("supply sensor", "stuck", 1.0e5, "supply sensor stuck at 1 bar"),
+        (new_fault("supply", "stuck", 1.0, "supply valve stuck open"),),
         "stop",
     ),
     *_behind(
-        _fault("shut-off feedback", "stuck", 0.0, "shut-off feedback stuck at shut"),
-        (_fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),),
+        new_fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
+        (new_fault("supply", "stuck", 1.0, "supply valve stuck open"),),
         "stop",
     ),
     *_behind(
-        _fault("supply sensor", "off"),
-        _in_the_swing(_fault("supply", "scale", 0.7, "supply sagging to 70 %")),
+        new_fault("shut-off feedback", "stuck", 0.0, "shut-off feedback stuck at shut"),
+        (new_fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),),
+        "stop",
     ),
     *_behind(
-        _fault("manifold relief", "stuck", 1.0, "manifold relief stuck shut"),
-        _in_the_swing(_fault("supply", "scale", 1.4, "supply surging to 140 %")),
+        new_fault("supply sensor", "off"),
+        _in_the_swing(new_fault("supply", "scale", 0.7, "supply sagging to 70 %")),
+    ),
+    *_behind(
+        new_fault("manifold relief", "stuck", 1.0, "manifold relief stuck shut"),
+        _in_the_swing(new_fault("supply", "scale", 1.4, "supply surging to 140 %")),
     ),
     *(
         breakage
@@ -180,35 +178,35 @@ LATENT_PAIRS: tuple[Breakage, ...] = (
         for chamber in CHAMBERS
         if joint in chamber.split()
         for breakage in _behind(
-            _fault(f"{chamber} relief", "stuck", 1.0, f"{chamber} relief stuck shut"),
-            _in_the_swing(_fault(f"{joint} valve", "stuck", 0.0, f"{joint} valve stuck shut")),
+            new_fault(f"{chamber} relief", "stuck", 1.0, f"{chamber} relief stuck shut"),
+            _in_the_swing(new_fault(f"{joint} valve", "stuck", 0.0, f"{joint} valve stuck shut")),
         )
     ),
     *_behind(
-        _fault("safety relay", "stuck", 1.0, "safety relay welded shut"),
-        (_fault("vents", "stuck", 1.0, "vents stuck shut"),),
+        new_fault("safety relay", "stuck", 1.0, "safety relay welded shut"),
+        (new_fault("vents", "stuck", 1.0, "vents stuck shut"),),
         "emergency stop",
     ),
     *(
         breakage
         for chamber in CHAMBERS
         for breakage in _behind(
-            _fault(f"{chamber} sensor", "stuck", 1.0e5, f"{chamber} sensor stuck at 1 bar"),
-            (_fault("vents", "stuck", 1.0, "vents stuck shut"),),
+            new_fault(f"{chamber} sensor", "stuck", 1.0e5, f"{chamber} sensor stuck at 1 bar"),
+            (new_fault("vents", "stuck", 1.0, "vents stuck shut"),),
             "stop",
         )
     ),
     *_behind(
-        _fault("guard locked", "stuck", 1.0, "guard locked stuck on"),
-        (_fault("guard closed", "stuck", 1.0),),
+        new_fault("guard locked", "stuck", 1.0, "guard locked stuck on"),
+        (new_fault("guard closed", "stuck", 1.0),),
         "guard opened",
     ),
     *_behind(
-        _fault("ball sensor", "stuck", 1.0, "ball sensor stuck on"),
-        (_fault("tee", "off", text="no ball rises"),),
+        new_fault("ball sensor", "stuck", 1.0, "ball sensor stuck on"),
+        (new_fault("tee", "off", text="no ball rises"),),
     ),
     *_behind(
-        _fault("local reset", "stuck", 1.0, "local reset stuck pressed"),
+        new_fault("local reset", "stuck", 1.0, "local reset stuck pressed"),
         _in_the_swing(Fault("link cut for 100 ms", "link", "off", duration=0.1)),
     ),
 )
@@ -219,31 +217,31 @@ AROUND_ACCESS: tuple[Breakage, ...] = tuple(
     for fault in (
         *_AIR,
         *THROTTLED,
-        _fault("supply", "drifting", -2.0e5, "supply sagging 2 bar/s"),
-        _fault("vents", "off", text="vents without energy"),
-        _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
-        _fault("safety relay", "stuck", 1.0, "safety relay welded shut"),
-        _fault("shut-off feedback", "off"),
-        *(_fault(f"{chamber} sensor", "off") for chamber in CHAMBERS),
+        new_fault("supply", "drifting", -2.0e5, "supply sagging 2 bar/s"),
+        new_fault("vents", "off", text="vents without energy"),
+        new_fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
+        new_fault("safety relay", "stuck", 1.0, "safety relay welded shut"),
+        new_fault("shut-off feedback", "off"),
+        *(new_fault(f"{chamber} sensor", "off") for chamber in CHAMBERS),
         *(
-            _fault(f"{chamber} sensor", "stuck", 1.0e5, f"{chamber} sensor stuck at 1 bar")
+            new_fault(f"{chamber} sensor", "stuck", 1.0e5, f"{chamber} sensor stuck at 1 bar")
             for chamber in CHAMBERS
         ),
-        _fault("supply sensor", "off"),
-        _fault("supply sensor", "stuck", 1.0e5, "supply sensor stuck at 1 bar"),
-        *(_fault(f"{joint} valve", "garbage") for joint in JOINTS),
-        *(_fault(f"{joint} valve", "stuck", 1.0, f"{joint} valve stuck open") for joint in JOINTS),
-        *(_fault(f"{joint} encoder", "off") for joint in JOINTS),
-        *(_fault(f"{joint} encoder", "garbage") for joint in JOINTS),
-        _fault("guard closed", "stuck", 1.0, "guard closed stuck on"),
-        _fault("guard locked", "stuck", 1.0, "guard locked stuck on"),
-        _fault("local reset", "stuck", 1.0, "local reset stuck pressed"),
-        _fault("local reset", "garbage"),
-        _fault("link", "off", text="link cut"),
+        new_fault("supply sensor", "off"),
+        new_fault("supply sensor", "stuck", 1.0e5, "supply sensor stuck at 1 bar"),
+        *(new_fault(f"{joint} valve", "garbage") for joint in JOINTS),
+        *(new_fault(f"{joint} valve", "stuck", 1.0, f"{joint} valve stuck open") for joint in JOINTS),
+        *(new_fault(f"{joint} encoder", "off") for joint in JOINTS),
+        *(new_fault(f"{joint} encoder", "garbage") for joint in JOINTS),
+        new_fault("guard closed", "stuck", 1.0, "guard closed stuck on"),
+        new_fault("guard locked", "stuck", 1.0, "guard locked stuck on"),
+        new_fault("local reset", "stuck", 1.0, "local reset stuck pressed"),
+        new_fault("local reset", "garbage"),
+        new_fault("link", "off", text="link cut"),
         Fault("link cut for 100 ms", "link", "off", duration=0.1),
-        _fault("clock", "stuck", text="clock stands still"),
-        _fault("supervisor", "off", text="supervisor dead"),
-        _fault("lease", "off", text="lease lost"),
+        new_fault("clock", "stuck", text="clock stands still"),
+        new_fault("supervisor", "off", text="supervisor dead"),
+        new_fault("lease", "off", text="lease lost"),
     )
 )
 """Faults before and while the guard is released: no release with pressure anywhere, no motion inside."""

@@ -12,17 +12,18 @@ from zlib import crc32
 
 from bench.config import Configuration
 from bench.faults.case import Workbench
-from bench.faults.catalogue import Breakage, irrelevant
-from bench.faults.compound_faults import CATALOGUE
-from bench.faults.instants import (
+from bench.faults.catalogue import (
     ACCESS,
     INTO_A_STOP,
     START,
+    Breakage,
     Instant,
     dense_instants,
     instants_of,
+    irrelevant,
     stopped_instants,
 )
+from bench.faults.compound_faults import CATALOGUE
 from bench.faults.verdict import CaseOutcome
 from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep
 from bench.swing.library import find_profile

@@ -14,8 +14,7 @@ from typing import Any
 
 from bench.base.lifecycle import Phase
 from bench.config import Configuration
-from bench.faults.catalogue import FAMILIES
-from bench.faults.instants import phase_name
+from bench.faults.catalogue import FAMILIES, phase_name
 from bench.faults.matrix import Skipped
 from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile

@@ -7,8 +7,7 @@ import pytest
 
 from bench.base.lifecycle import Cause
 from bench.faults.case import Workbench
-from bench.faults.catalogue import Breakage
-from bench.faults.instants import Instant
+from bench.faults.catalogue import Breakage, Instant
 from drivers.base import CHAMBERS
 from sim.faults import Fault
 

@@ -12,9 +12,17 @@ import pytest
 from bench.base.lifecycle import Phase
 from bench.config import load_configuration, shipped_configuration
 from bench.faults.case import Workbench
-from bench.faults.catalogue import FAMILIES, Breakage
+from bench.faults.catalogue import (
+    ACCESS,
+    FAMILIES,
+    INTO_A_STOP,
+    START,
+    Breakage,
+    Instant,
+    dense_instants,
+    instants_of,
+)
 from bench.faults.compound_faults import CATALOGUE
-from bench.faults.instants import ACCESS, INTO_A_STOP, START, Instant, dense_instants, instants_of
 from bench.faults.matrix import instants_for, plan_matrix
 from bench.faults.summary import commit, origin_of
 from bench.swing.profile import PHASES, Profile

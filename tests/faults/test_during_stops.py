@@ -11,7 +11,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Reaction
 from bench.faults.case import Workbench
-from bench.faults.instants import Instant, instants_of
+from bench.faults.catalogue import Instant, instants_of
 from bench.swing.profile import Profile
 from sim.faults import Fault
 from tests.benchmarks.during_stops import AS_THE_TABLE_SAYS, STOPS, stopped, unsafe

@@ -9,8 +9,7 @@ import pytest
 from bench.base.lifecycle import Request
 from bench.control.settings import holding_pressure
 from bench.faults.case import Workbench
-from bench.faults.catalogue import THROTTLED, Breakage
-from bench.faults.instants import Instant, instants_of
+from bench.faults.catalogue import THROTTLED, Breakage, Instant, instants_of
 from sim.faults import Fault, own_records
 from tests.sampling import release_except
 

@@ -6,8 +6,7 @@ import numba
 import pytest
 
 from bench.faults.case import Workbench
-from bench.faults.catalogue import Breakage
-from bench.faults.instants import Instant
+from bench.faults.catalogue import Breakage, Instant
 from sim.faults import Fault
 
 

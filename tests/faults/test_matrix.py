@@ -21,10 +21,9 @@ from bench.commands.common.command import Session
 from bench.commands.machine.faults import app, matrix_page, matrix_table
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.faults.case import Workbench
-from bench.faults.catalogue import Breakage, irrelevant
+from bench.faults.catalogue import ACCESS, START, Breakage, Instant, instants_of, irrelevant
 from bench.faults.compound_faults import CATALOGUE
 from bench.faults.hazard_file import hazard_table, matrix_digest
-from bench.faults.instants import ACCESS, START, Instant, instants_of
 from bench.faults.matrix import FaultStudy, MatrixPlan, instants_for, matrix_store, plan_matrix, run_matrix
 from bench.faults.summary import PHASES, compare, summarise, summary_text
 from bench.faults.verdict import CaseOutcome

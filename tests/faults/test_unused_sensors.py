@@ -8,8 +8,7 @@ import numba
 import pytest
 
 from bench.faults.case import Workbench
-from bench.faults.catalogue import Breakage, Event
-from bench.faults.instants import Instant
+from bench.faults.catalogue import Breakage, Event, Instant
 from sim.faults import Fault, Kind
 
 pytestmark = pytest.mark.skipif(
