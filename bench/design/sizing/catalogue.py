@@ -29,28 +29,36 @@ _WALL_FRICTION = 0.02
 """Darcy friction factor of a smooth hose; assumption: at the Reynolds numbers here, about 1e5."""
 
 
-@dataclass(frozen=True)
-class VanePart:
+@dataclass(frozen=True, kw_only=True)
+class SourcedPart:
+    """A part with the source of its figures."""
+
+    name: str
+    source: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class PricedPart(SourcedPart):
+    """A part with a price class."""
+
+    price: PriceClass
+
+
+@dataclass(frozen=True, kw_only=True)
+class VanePart(PricedPart):
     """A rotary vane."""
 
-    name: str
     displacement: Annotated[float, Range(1e-6, 0.05, "m3/rad")]
     """Volume of a chamber a radian, m3/rad."""
-    price: PriceClass
-    source: str
 
 
-@dataclass(frozen=True)
-class CylinderPart:
+@dataclass(frozen=True, kw_only=True)
+class CylinderPart(PricedPart):
     """A double-acting cylinder with one rod."""
 
-    name: str
     bore: Annotated[float, Range(0.005, 0.3, "m")]
-    """Bore (m)."""
     rod: Annotated[float, Range(0.002, 0.2, "m")]
     """Diameter of the rod, m."""
-    price: PriceClass
-    source: str
 
     def __post_init__(self) -> None:
         """Raise ValueError unless the rod fits into the bore."""
@@ -58,25 +66,17 @@ class CylinderPart:
             raise ValueError(f"a rod thinner than the bore of {self.bore:g} m")
 
     @property
-    def area_a(self) -> float:
-        """Area of the bore's side, m2."""
-        return pi / 4 * self.bore**2
-
-    @property
-    def area_b(self) -> float:
-        """Area of the rod's side, m2."""
-        return pi / 4 * (self.bore**2 - self.rod**2)
+    def areas(self) -> tuple[float, float]:
+        """Areas of the bore's side and of the rod's side, m2."""
+        return pi / 4 * self.bore**2, pi / 4 * (self.bore**2 - self.rod**2)
 
 
-@dataclass(frozen=True)
-class ValvePart:
+@dataclass(frozen=True, kw_only=True)
+class ValvePart(PricedPart):
     """A proportional valve."""
 
-    name: str
     nominal_flow: Annotated[float, Range(1.0, 20000.0, "l/min")]
     """l/min of free air from 6 to 5 bar gauge."""
-    price: PriceClass
-    source: str
 
     @property
     def conductance(self) -> float:
@@ -84,66 +84,48 @@ class ValvePart:
         return conductance_of(self.nominal_flow)
 
 
-@dataclass(frozen=True)
-class AbsorberPart:
+@dataclass(frozen=True, kw_only=True)
+class AbsorberPart(PricedPart):
     """A shock absorber."""
 
-    name: str
     energy: Annotated[float, Range(0.1, 1000.0, "J")]
     """Energy of a stroke as it is set, J."""
     stroke: Annotated[float, Range(0.001, 0.2, "m")]
-    """Stroke (m)."""
-    price: PriceClass
-    source: str
     rated: Annotated[float, Range(0.0, 1000.0, "J")] = field(default=0.0, metadata={"optional": True})
     """Energy that its body is rated for, J; `energy` unless it is larger."""
     radius: Annotated[float, Range(0.02, 0.5, "m")] = field(default=0.08, metadata={"optional": True})
     """Radius at which it stands if it is the wrist's, m; assumption: the shipped 0.174 rad are 13.9 mm."""
 
 
-@dataclass(frozen=True)
-class FeedPart:
-    """The line from the reservoir, with regulator and soft-start valve."""
+@dataclass(frozen=True, kw_only=True)
+class PassagePart(PricedPart):
+    """The line from the reservoir with regulator and soft-start valve, or vents with their throttles."""
 
-    name: str
     conductance: Annotated[float, Range(1e-12, 1e-5, "m3/(s Pa)")]
-    """m3/(s Pa)"""
-    price: PriceClass
-    source: str
+    """Sonic conductance, of vents that of the throttle of each chamber, m3/(s Pa)."""
 
 
-@dataclass(frozen=True)
-class ManifoldPart:
+@dataclass(frozen=True, kw_only=True)
+class ManifoldPart(PricedPart):
     """The manifold between soft-start valve and spools."""
 
-    name: str
     volume: Annotated[float, Range(1e-5, 1.0, "m3")]
-    """m3"""
-    price: PriceClass
-    source: str
 
 
-@dataclass(frozen=True)
-class ShutOffPart:
+@dataclass(frozen=True, kw_only=True)
+class ShutOffPart(SourcedPart):
     """A shut-off valve that reports its position."""
 
-    name: str
     switching_time: Annotated[float, Range(0.0, 5.0, "s")]
     """Longest time from loss of power to exhausting, s."""
-    source: str
 
 
-@dataclass(frozen=True)
-class HosePart:
+@dataclass(frozen=True, kw_only=True)
+class HosePart(PricedPart):
     """A hose from a valve to a chamber, cut to length."""
 
-    name: str
     inner_diameter: Annotated[float, Range(0.001, 0.05, "m")]
-    """Inner diameter (m)."""
     length: Annotated[float, Range(0.01, 10.0, "m")]
-    """Length (m)."""
-    price: PriceClass
-    source: str
 
     @property
     def volume(self) -> float:
@@ -156,26 +138,13 @@ class HosePart:
         return hose_conductance(self.inner_diameter, self.length)
 
 
-@dataclass(frozen=True)
-class VentPart:
-    """The two vents with the throttles of the six chambers."""
-
-    name: str
-    conductance: Annotated[float, Range(1e-12, 1e-5, "m3/(s Pa)")]
-    """Sonic conductance of the throttle of each chamber, m3/(s Pa)."""
-    price: PriceClass
-    source: str
-
-
-@dataclass(frozen=True)
-class FramePart:
+@dataclass(frozen=True, kw_only=True)
+class FramePart(SourcedPart):
     """The joints' ranges, with the right arm's cylinder that gives them."""
 
-    name: str
     shoulder_lower: Annotated[float, Range(-6.0, 0.0, "rad")]
-    """Lower end of the shoulder's travel (rad)."""
     shoulder_upper: Annotated[float, Range(0.0, 6.0, "rad")]
-    """Upper end of the shoulder's travel (rad)."""
+    """Ends of the shoulder's travel (rad)."""
     wrist_cock: Annotated[float, Range(0.5, 2.8, "rad")]
     """Range of the wrist from the line of the arm, rad."""
     arm_body: Annotated[float, Range(0.1, 1.0, "m")]
@@ -183,8 +152,6 @@ class FramePart:
     arm_behind: Annotated[float, Range(0.0, 1.0, "m")]
     """Length of its cylinder behind the right shoulder, about which it swings, m."""
     arm_stroke: Annotated[float, Range(0.05, 1.0, "m")]
-    """Stroke of the right arm (m)."""
-    source: str
 
 
 @dataclass(frozen=True)
@@ -195,12 +162,12 @@ class Catalogue:
     cylinders: dict[str, CylinderPart]
     valves: dict[str, ValvePart]
     absorbers: dict[str, AbsorberPart]
-    feeds: dict[str, FeedPart]
+    feeds: dict[str, PassagePart]
     manifolds: dict[str, ManifoldPart]
     frames: dict[str, FramePart]
     shut_offs: dict[str, ShutOffPart]
     hoses: dict[str, HosePart]
-    vents: dict[str, VentPart]
+    vents: dict[str, PassagePart]
 
 
 def conductance_of(nominal_flow: float) -> float:

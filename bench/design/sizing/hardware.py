@@ -16,9 +16,11 @@ from bench.design.sizing.catalogue import (
     CylinderPart,
     FramePart,
     HosePart,
+    ManifoldPart,
+    PassagePart,
+    PricedPart,
     ValvePart,
     VanePart,
-    VentPart,
     in_series,
 )
 from sim.plant import PlantParameters
@@ -83,25 +85,6 @@ class Hardware:
         return "-".join(parts)
 
 
-class Parts(NamedTuple):
-    """The parts that a hardware names, looked up."""
-
-    vane: VanePart
-    arm: CylinderPart
-    wrist: CylinderPart
-    valves: tuple[ValvePart, ValvePart, ValvePart]
-    absorbers: tuple[AbsorberPart, AbsorberPart]
-    feed: float
-    """m3/(s Pa)"""
-    manifold: float
-    """m3"""
-    frame: FramePart
-    hose: HosePart | None
-    vent: VentPart | None
-    price: int
-    """Upper ends of the parts' price classes, EUR in all."""
-
-
 KINDS = {
     "vane": "vanes",
     "arm": "cylinders",
@@ -124,6 +107,38 @@ _PIECES = {"hose": 6}
 """Number of pieces where a part is needed several times: a hose for each chamber."""
 
 
+class Parts(NamedTuple):
+    """The parts that a hardware names, looked up."""
+
+    vane: VanePart
+    arm: CylinderPart
+    wrist: CylinderPart
+    shoulder_valve: ValvePart
+    arm_valve: ValvePart
+    wrist_valve: ValvePart
+    arm_absorber: AbsorberPart
+    wrist_absorber: AbsorberPart
+    feed: PassagePart
+    manifold: ManifoldPart
+    frame: FramePart
+    hose: HosePart | None = None
+    vent: PassagePart | None = None
+
+    @property
+    def valves(self) -> tuple[ValvePart, ValvePart, ValvePart]:
+        """Valves of shoulder, right arm and wrist."""
+        return self.shoulder_valve, self.arm_valve, self.wrist_valve
+
+    @property
+    def price(self) -> int:
+        """Upper ends of the parts' price classes, EUR in all."""
+        return sum(
+            _PIECES.get(field, 1) * PRICES[part.price]
+            for field, part in self._asdict().items()
+            if isinstance(part, PricedPart)
+        )
+
+
 def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
     """Return the parts of `hardware`.
 
@@ -133,26 +148,13 @@ def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
     found: dict[str, Any] = {}
     for field, kind in KINDS.items():
         name, known = getattr(hardware, field), getattr(catalogue, kind)
-        if field in _OPTIONAL and not name:
-            continue
-        if name not in known:
+        if name in known:
+            found[field] = known[name]
+        elif name or field not in _OPTIONAL:
             raise BenchError(
                 f"hardware: {field}", name, f"of {kind}: {', '.join(known)}", "Correct it, or add the part."
             )
-        found[field] = known[name]
-    return Parts(
-        found["vane"],
-        found["arm"],
-        found["wrist"],
-        (found["shoulder_valve"], found["arm_valve"], found["wrist_valve"]),
-        (found["arm_absorber"], found["wrist_absorber"]),
-        found["feed"].conductance,
-        found["manifold"].volume,
-        found["frame"],
-        found.get("hose"),
-        found.get("vent"),
-        sum(_PIECES.get(name, 1) * PRICES[part.price] for name, part in found.items() if name != "frame"),
-    )
+    return Parts(**found)
 
 
 def overrides(
@@ -166,14 +168,13 @@ def overrides(
     of the bodies stay.
     """
     parts = parts_of(catalogue, hardware)
-    vane, arm, wrist = parts.vane, parts.arm, parts.wrist
+    absorbers = parts.arm_absorber, parts.wrist_absorber
     plant: dict[str, Any] = {
         "wrist_lever": hardware.lever,
-        "shoulder": _actuator(shipped.shoulder, (vane.displacement, vane.displacement), parts, 0),
-        "right_arm": _actuator(shipped.right_arm, (arm.area_a, arm.area_b), parts, 1)
-        | _arm_stop(parts.absorbers[0], shipped.right_arm),
-        "wrist": _actuator(shipped.wrist, (wrist.area_a, wrist.area_b), parts, 2)
-        | _wrist_stop(parts.absorbers[1]),
+        "shoulder": _actuator(shipped.shoulder, (parts.vane.displacement,) * 2, parts, 0),
+        "right_arm": _actuator(shipped.right_arm, parts.arm.areas, parts, 1)
+        | _arm_stop(absorbers[0], shipped.right_arm),
+        "wrist": _actuator(shipped.wrist, parts.wrist.areas, parts, 2) | _wrist_stop(absorbers[1]),
         "supply": _supply(parts, hardware, shipped),
     }
     if hardware.lever_angle:
@@ -181,7 +182,7 @@ def overrides(
     if hardware.frame != Hardware.frame:
         _set_ranges(plant, parts.frame, shipped)
     held = (shipped.right_arm.stop.energy, shipped.wrist.stop.energy)
-    ratings = [part.energy / energy for part, energy in zip(parts.absorbers, held, strict=True)]
+    ratings = [part.energy / energy for part, energy in zip(absorbers, held, strict=True)]
     return {"plant": plant, "envelope": _envelope(hardware, [1.0, *ratings], speed)}
 
 
@@ -249,18 +250,18 @@ def _wrist_stop(absorber: AbsorberPart) -> dict[str, Any]:
 def _supply(parts: Parts, hardware: Hardware, shipped: PlantParameters) -> dict[str, Any]:
     supply = shipped.supply
     swept = max(
-        parts.arm.area_a / shipped.right_arm.area_a, parts.vane.displacement / shipped.shoulder.area_a
+        parts.arm.areas[0] / shipped.right_arm.area_a, parts.vane.displacement / shipped.shoulder.area_a
     )
     return {
         "pressure": hardware.pressure,
-        "feed_conductance": parts.feed,
-        "volume": parts.manifold,
-        "dump_conductance": supply.dump_conductance * parts.manifold / supply.volume,
+        "feed_conductance": parts.feed.conductance,
+        "volume": parts.manifold.volume,
+        "dump_conductance": supply.dump_conductance * parts.manifold.volume / supply.volume,
         "vent_conductance": parts.vent.conductance if parts.vent else swept * supply.vent_conductance,
         "relief_pressure": relief_pressure(hardware.pressure),
         "relief_conductance": swept * supply.relief_conductance,
         "manifold_relief_ratio": _MAX_SUPPLY,
-        "manifold_relief_conductance": MANIFOLD_RELIEF * parts.feed,
+        "manifold_relief_conductance": MANIFOLD_RELIEF * parts.feed.conductance,
     }
 
 

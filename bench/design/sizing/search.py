@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 
+import matplotlib as mpl
+
 from bench.config import load_configuration
 from bench.design.sizing.catalogue import Catalogue
 from bench.design.sizing.hardware import KINDS, Hardware, parts_of
@@ -23,6 +25,7 @@ from bench.design.sizing.study import (
     plan_of,
     swing_of,
 )
+from bench.records.shot.plot_style import COLOURS, GREY, STYLE, save_picture, styled
 from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep
 
 _SMALL_FEED = 2.6e-7
@@ -196,3 +199,46 @@ def _digest(catalogue: Catalogue, demand: SizingDemand) -> str:
         [asdict(catalogue), asdict(demand), settings, asdict(shipped.estimator)], default=str, sort_keys=True
     )
     return hashlib.sha256(f"{code_digest('bench.design.sizing.study')} {text}".encode()).hexdigest()[:16]
+
+
+def draw_front(points: Sequence[SizedPoint], speed: float, path: Path) -> None:
+    """Draw all planned points with the front, and the swings at the demanded `speed` (m/s), into `path`."""
+    planned = [point for point in points if not point.plan.failure]
+    front = non_dominated(planned)
+    swung = [point for point in points if point.swing is not None and not point.swing.failure]
+    with mpl.rc_context(STYLE):
+        figure = styled(3.6)
+        axes = figure.subplots()
+        axes.scatter(
+            [p.price for p in planned], [p.plan.speed for p in planned], s=14, color=GREY, label="candidates"
+        )
+        axes.step(
+            [p.price for p in front],
+            [p.plan.speed for p in front],
+            where="post",
+            color=COLOURS[0],
+            label="front of plans by collocation alone",
+        )
+        axes.axhline(speed, color=COLOURS[1], linewidth=0.8, label=f"demanded, {speed:g} m/s")
+        if swung:
+            axes.scatter(
+                [p.price for p in swung],
+                [p.swing.speed for p in swung if p.swing is not None],
+                s=36,
+                marker="D",
+                color=COLOURS[2],
+                label="whole swing in closed loop",
+            )
+        for point in front:
+            axes.annotate(
+                f"{point.hardware.vane} {point.hardware.arm} {point.hardware.shoulder_valve}\n"
+                f"{point.hardware.pressure / 1e5:g} bar",
+                (point.price, point.plan.speed),
+                xytext=(4, -12),
+                textcoords="offset points",
+                fontsize=6,
+            )
+        axes.set_xlabel("price, upper ends of the parts' classes (assumed), EUR")
+        axes.set_ylabel("head speed at the ball, m/s")
+        axes.legend(loc="lower right")
+        save_picture(figure, path)

@@ -12,8 +12,7 @@ import pytest
 from bench.design.sizing import search as module
 from bench.design.sizing.catalogue import shipped_catalogue
 from bench.design.sizing.hardware import Hardware, parts_of
-from bench.design.sizing.picture import draw_front
-from bench.design.sizing.search import SizingGrid, SizingRun, SizingSearch
+from bench.design.sizing.search import SizingGrid, SizingRun, SizingSearch, draw_front
 from bench.design.sizing.study import (
     SizedPlan,
     SizedPoint,
