@@ -77,7 +77,7 @@ benchmark: $(VENV)/.benchmark  ## speed of the model beside MuJoCo and Pinocchio
 	@$(BIN)/python -m tests.benchmarks $(ARGS)
 
 faults: $(VENV)/.dev  ## the whole matrix of faults, signals and phases, and the hazard table made from it
-	@unsafe=0; $(BIN)/golfbench faults run --compare --output data/faults $(ARGS) || unsafe=$$?; \
+	@unsafe=0; $(BIN)/golfbench faults run --output data/faults $(ARGS) || unsafe=$$?; \
 	[ $$unsafe -le 1 ]; $(BIN)/golfbench faults table data/faults/matrix.json --brief --output sim/FAULTS.md; \
 	$(BIN)/golfbench faults file data/faults/matrix.json --output sim/HAZARDS.md; exit $$unsafe
 

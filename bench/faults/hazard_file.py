@@ -24,7 +24,7 @@ from sim.faults import sort_of
 
 _WIDTH = 119
 """Columns of a paragraph."""
-_OF_THE_RUN = frozenset({"origin", "seconds", "comparison"})
+_OF_THE_RUN = frozenset({"origin", "seconds"})
 """Keys of a summary that differ between two runs with the same outcomes."""
 
 
@@ -59,7 +59,7 @@ def hazard_table(summary: dict[str, Any], *, brief: bool = False) -> str:
             rules.setdefault(rule, []).append(row["breakage"])
     return markdown(
         "hazards.md.j2",
-        s={"comparison": [], **summary},
+        s=summary,
         every=summary["origin"].get("every", 1),
         digest=matrix_digest(summary),
         next_swing=next_swing_text(summary),

@@ -146,30 +146,6 @@ def reaction_ticks(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, float
     }
 
 
-def compare(with_check: Sequence[CaseOutcome], without: Sequence[CaseOutcome]) -> list[dict[str, Any]]:
-    """Return the effect of the model-based check on the cases run with and without it."""
-    before = {(o.breakage, o.instant): o for o in without}
-    pairs = [(o, before[o.breakage, o.instant]) for o in with_check if (o.breakage, o.instant) in before]
-    rows = []
-    for key in dict.fromkeys((sort_of(o.signal), o.kind) for o, _ in pairs):
-        own = [(a, b) for a, b in pairs if (sort_of(a.signal), a.kind) == key]
-        rows.append(
-            {
-                "what": " ".join(key),
-                "cases": len(own),
-                "detected_off": sum(bool(b.detected_by) for _, b in own),
-                "detected_on": sum(bool(a.detected_by) for a, _ in own),
-                "undetected_off": sum(b.verdict == "undetected" for _, b in own),
-                "undetected_on": sum(a.verdict == "undetected" for a, _ in own),
-                "unsafe_off": sum(b.verdict == "unsafe" for _, b in own),
-                "unsafe_on": sum(a.verdict == "unsafe" for a, _ in own),
-                "median_ticks_off": _median([b.detection_ticks for _, b in own if b.detected_by]),
-                "median_ticks_on": _median([a.detection_ticks for a, _ in own if a.detected_by]),
-            }
-        )
-    return rows
-
-
 def summary_text(summary: dict[str, Any]) -> str:
     """Return `summary` as JSON with one compact line a breakage."""
     parts = []
@@ -184,10 +160,6 @@ def summary_text(summary: dict[str, Any]) -> str:
 
 def _compact(value: object) -> str:
     return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
-
-
-def _median(ticks: list[int]) -> int | None:
-    return sorted(ticks)[len(ticks) // 2] if ticks else None
 
 
 SEED = 1

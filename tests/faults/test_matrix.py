@@ -25,7 +25,7 @@ from bench.faults.catalogue import ACCESS, START, Breakage, Instant, instants_of
 from bench.faults.compound_faults import CATALOGUE
 from bench.faults.hazard_file import hazard_table, matrix_digest
 from bench.faults.matrix import FaultStudy, MatrixPlan, instants_for, matrix_store, plan_matrix, run_matrix
-from bench.faults.summary import PHASES, compare, summarise, summary_text
+from bench.faults.summary import PHASES, summarise, summary_text
 from bench.faults.verdict import CaseOutcome
 from bench.simulation.sweep import InProcess
 from bench.swing.profile import Profile
@@ -151,7 +151,7 @@ def test_summarise_counts_verdicts_and_page_is_self_contained(
     assert summary["verdicts"] == {"harmless": 0, "safe": 8, "undetected": 0, "unsafe": 2}
     assert summary["left_out_by_rule"] == len(plan.skipped) == 14
     assert summary["reaction_ticks"]["switch off"]["greatest"] == 1
-    page = matrix_page(summary, compare(outcomes, outcomes))
+    page = matrix_page(summary)
     assert "200 %" in page
     assert not any(text in page for text in ("http:", "https:", "src=", "href="))
     assert matrix_table(summary).row_count == len(summary["rows"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
@@ -30,9 +29,7 @@ from bench.commands.common.command import (
 from bench.commands.common.output import console_of, progress_of, write_text
 
 if TYPE_CHECKING:
-    from bench.faults.catalogue import Breakage
     from bench.faults.matrix import FaultStudy, MatrixPlan
-    from bench.faults.verdict import CaseOutcome
     from bench.simulation.sweep import Engine
 
 app = typer.Typer(no_args_is_help=True)
@@ -50,9 +47,6 @@ Output = Annotated[Path | None, option("Folder of results.", "DIR", shown="DATA_
 Signals = Annotated[list[str] | None, option("Only faults whose name contains this; repeatable.", "TEXT")]
 Phases = Annotated[list[str] | None, option("Only faults in this phase; repeatable.", "PHASE")]
 ModelCheck = Annotated[bool, flag("--model-check/--no-model-check", "Run with the model-based check.")]
-Compare = Annotated[
-    bool, flag("--compare", "Repeat faults of encoders, valves and supply without that check.")
-]
 Families = Annotated[
     list[str] | None,
     option(
@@ -73,7 +67,6 @@ def run(
     family: Families = None,
     every: Every = 1,
     model_check: ModelCheck = True,
-    compare: Compare = False,
     quick: Quick = False,
     processes: Processes = 0,
     cluster: ClusterAddress = "",
@@ -103,7 +96,7 @@ def run(
         every=every,
     )
     with sweep_engine(configuration, processes, cluster, len(plan.cases)) as engine:
-        summary = _matrix(study, folder, plan, compare, engine)
+        summary = _matrix(study, folder, plan, engine)
     _write(folder, summary)
     unsafe = summary["verdicts"]["unsafe"]
     if json_:
@@ -121,7 +114,7 @@ def _write(folder: Path, summary: dict[str, Any]) -> None:
     from bench.base.atomic_file import atomic_file
     from bench.faults.summary import summary_text
 
-    page = matrix_page(summary, summary.get("comparison"))
+    page = matrix_page(summary)
     for name, text in {"matrix.json": summary_text(summary), "matrix.html": page}.items():
         with atomic_file(folder / name) as file:
             file.write(text.encode())
@@ -134,52 +127,22 @@ def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> N
         )
 
 
-def _matrix(
-    study: FaultStudy, folder: Path, plan: MatrixPlan, compare: bool, engine: Engine
-) -> dict[str, Any]:
-    from bench.faults.summary import compare as compared
+def _matrix(study: FaultStudy, folder: Path, plan: MatrixPlan, engine: Engine) -> dict[str, Any]:
+    from bench.faults.matrix import matrix_store, run_matrix
     from bench.faults.summary import origin_of, summarise
 
-    outcomes, seconds = _outcomes(study, plan, folder / "cases.jsonl", engine)
-    summary = summarise(
+    store = matrix_store(folder / "cases.jsonl", study)
+    text = f"breaking {study.profile.name}" + ("" if study.model_check else ", no model check")
+    with deferred_interrupt() as asked, progress_of(text, len(plan.cases)) as show:
+        outcomes = run_matrix(plan, study, store, engine, progress=show, stop=asked.is_made)
+    return summarise(
         outcomes,
         plan.skipped,
         model_check=study.model_check,
         profile=study.profile.name,
-        seconds=seconds,
+        seconds=store.seconds,
         origin=origin_of(study.configuration, study.profile, datetime.now(UTC)) | {"every": plan.every},
     )
-    if compare:
-        rest = type(plan)(tuple(case for case in plan.cases if _is_compared(case[0])), ())
-        other = replace(study, model_check=not study.model_check)
-        without, _ = _outcomes(other, rest, folder / "without.jsonl", engine)
-        pair = (outcomes, without) if study.model_check else (without, outcomes)
-        summary["comparison"] = compared(*pair)
-    return summary
-
-
-def _is_compared(breakage: Breakage) -> bool:
-    from sim.faults import sort_of
-
-    return breakage.family == "one fault" and sort_of(breakage.fault.signal) in (
-        "encoder",
-        "valve",
-        "supply",
-        "club head",
-    )
-
-
-def _outcomes(
-    study: FaultStudy, plan: MatrixPlan, path: Path, engine: Engine
-) -> tuple[list[CaseOutcome], float]:
-    """Return the outcomes, and the seconds that they took over all runs."""
-    from bench.faults.matrix import matrix_store, run_matrix
-
-    store = matrix_store(path, study)
-    text = f"breaking {study.profile.name}" + ("" if study.model_check else ", no model check")
-    with deferred_interrupt() as asked, progress_of(text, len(plan.cases)) as show:
-        outcomes = run_matrix(plan, study, store, engine, progress=show, stop=asked.is_made)
-    return outcomes, store.seconds
 
 
 _MARKS = {
@@ -226,7 +189,7 @@ def reasons_table(summary: dict[str, Any]) -> Table:
     return table
 
 
-def matrix_page(summary: dict[str, Any], comparison: list[dict[str, Any]] | None = None) -> str:
+def matrix_page(summary: dict[str, Any]) -> str:
     """Return the page: one file without external resources."""
     import jinja2
 
@@ -235,9 +198,7 @@ def matrix_page(summary: dict[str, Any], comparison: list[dict[str, Any]] | None
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string((files("bench.faults") / "page.html.j2").read_text(encoding="utf-8"))
-    return template.render(
-        summary=summary, next_swing=next_swing_text(summary), phases=PHASES, comparison=comparison or []
-    )
+    return template.render(summary=summary, next_swing=next_swing_text(summary), phases=PHASES)
 
 
 @app.command()
