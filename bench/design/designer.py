@@ -36,6 +36,7 @@ from bench.design.optimal_control import (
     Concessions,
     DownswingPlan,
     DownswingProblem,
+    SwingDemand,
     solve_downswing,
 )
 from bench.design.refine import NEAR, UNITS, NotReached, arrival_errors, learned_backswing, refine
@@ -86,71 +87,6 @@ also takes the energy that the arm's passes on."""
 
 class DesignFailed(RuntimeError):
     """No swing meets the demand; the text gives the reason."""
-
-
-@dataclass(frozen=True)
-class SwingDemand:
-    """Demand on a swing: the delivery, the loads and the times."""
-
-    head_speed: float | None = 45.0
-    """Head speed at impact (m/s); None: the robot's highest."""
-    attack: float = 0.0
-    """Angle of the head's path to the ground at the ball, rad, positive rising."""
-    lean: float | None = None
-    """Shaft lean at the ball, rad, in the swing plane, negative with leading hands; None: the easiest within
-    `_UPRIGHT`; on turf, where the path falls, up to `_LEADING`."""
-    before_stop: float = 0.0012
-    """Least time from the ball to where the wrist, at its speed, would meet its stop, s. With 0 the fastest
-    swings meet it there: a robot that came a little otherwise met it before the ball, 0.7 % slower in every
-    other swing. On drawn robots it comes up to 0.6 ms nearer than planned."""
-    strike: float = 0.0
-    """Ball off the face's centre along the cut of swing plane and face, m."""
-    margin: float = 0.15
-    """Share of each valve that is left to feedback."""
-    struck_share: float = 0.8
-    """Max share of the cushions' rated energy when the ball is struck."""
-    missed_share: float = 0.97
-    """Max share when it is missed or the bench falls silent."""
-    backswing_time: float = 0.85
-    top_time: float = 0.25
-    downswing_time: tuple[float, float] = (0.15, 0.25)
-    """Shortest and longest, s."""
-    address_cock: float = 0.14
-    """Wrist at address, rad short of its stop."""
-    address_shoulder: float = 0.45
-    """Angle at a ball on a tee, with `_SHORT_OF_STOP`; on turf it follows from the ball's place."""
-    top_shoulder: float = -1.30
-    top_extension: float = 0.02
-    top_cock: float | None = None
-    """Wrist at the top, rad short of its stop; None: `furthest_cock`."""
-    follow_time: float = 0.7
-    """Time from the ball to the end of the profile (s); braking takes about 0.3 s of it."""
-    no_return_time: float = 0.06
-    """Time before the impact window from which on the ball is struck in any case, s."""
-    least_lever: float = 0.25
-    """Min |sin beta| of the plan; the envelope trips at 0.15."""
-    pressure: float = 1.0e6
-    """Max chamber pressure, Pa absolute."""
-    shoulder_speed: float = 16.0
-    """Max shoulder speed at the ball, to be braked in the follow-through, rad/s."""
-    follow: Array | None = None
-    """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad; rows of NaN
-    do not count."""
-    ranges: Array | None = None
-    """(3,) units of the deviations from them, rad."""
-    nearest: bool = False
-    """Whether a demand out of reach gives way: in the downswing's time, the path's rise, the head speed."""
-
-
-@dataclass(frozen=True)
-class DesignedSwing:
-    """A designed swing, with its plan and trial."""
-
-    profile: Profile
-    plan: DownswingPlan
-    trial: ShootingTrial
-    """Trial of the refined openings on the plant."""
-    rounds: int
 
 
 @dataclass(frozen=True)
@@ -343,29 +279,18 @@ def _problem(
     if state[2] < wrist[0] - 0.01:  # less far off a plan may still begin
         comes, held = degrees(state[2]), degrees(wrist[0])
         raise DesignFailed(f"the wrist comes to {comes:.1f} deg at the top; its lever holds from {held:.1f}")
-    speeds = envelope.max_speed
     return DownswingProblem(
+        demand,
+        envelope,
         start=state,
-        top_freedom=np.stack([state[:3], state[:3]], axis=1),
-        speed=demand.head_speed,
         slope=slope_of(demand.attack, parameters.robot.lie),
         theta_t=(SHAFT_DOWN + lean[0], SHAFT_DOWN + lean[1]),
-        time=demand.downswing_time,
         opening=1.0 - demand.margin - _CORRECTED[demand.follow is not None],
-        slew=150.0,
-        shoulder=(_furthest_back(parameters, demand, float(state[0])), parameters.shoulder.upper),
-        shoulder_back=_TURN_BACK if demand.follow is not None else 0.96 * speeds[0],
-        end_stop_max_speed=envelope.end_stop_max_speed,
-        min_deceleration=envelope.min_deceleration,
+        shoulder=_furthest_back(parameters, demand, float(state[0])),
+        shoulder_back=_TURN_BACK if demand.follow is not None else 0.96 * envelope.max_speed[0],
         committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
         wrist=wrist,
-        speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
-        before_stop=demand.before_stop,
         cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
-        shoulder_speed=demand.shoulder_speed,
-        pressure=demand.pressure,
-        follow=demand.follow,
-        ranges=demand.ranges,
         concessions=_concessions(parameters, demand) if demand.nearest else NO_CONCESSIONS,
     )
 
@@ -456,15 +381,16 @@ def _initial_guess(
     time, guess = _first_guess(parameters, problem.start, demand)
     # The fastest swing is found most reliably; a demanded speed is then found from it.
     progress("a first swing", 0.0)
-    plan = solve_downswing(parameters, replace(problem, speed=None, follow=None), time, guess, _INTERVALS)
+    fastest = replace(problem, demand=replace(demand, head_speed=None, follow=None))
+    plan = solve_downswing(parameters, fastest, time, guess, _INTERVALS)
     progress("a first swing", 1.0)
     return float(plan.time[-1]), plan.state
 
 
 def design_downswing(
     bench: SimulatedBench, demand: SwingDemand, start: Profile | None, begun: _Start, progress: Progress
-) -> tuple[Downswing, int]:
-    """Return a downswing whose openings meet `demand` on the plant, and the number of rounds.
+) -> Downswing:
+    """Return a downswing whose openings meet `demand` on the plant.
 
     Raises:
         DesignFailed: no plan that the plant can follow within its cushions.
@@ -483,7 +409,7 @@ def design_downswing(
         plan = solve_downswing(parameters, problem, time, guess, _INTERVALS)
         if not plan.solved:
             if brought is None:
-                reason = reason or _out_of_reach(parameters, demand, problem, (time, guess), plan.status)
+                reason = reason or _out_of_reach(parameters, problem, (time, guess), plan.status)
                 break
             reason = reason or f"no downswing within the limits ({_said(plan.status)})"
             # The limits were too tight: half way back to the last possible ones.
@@ -520,7 +446,7 @@ def design_downswing(
     )
     if best is None or best[0][0] > survived:
         raise DesignFailed(reason or "no downswing found")
-    return best[1], count + 1
+    return best[1]
 
 
 def _said(status: str) -> str:
@@ -530,7 +456,6 @@ def _said(status: str) -> str:
 
 def _out_of_reach(
     parameters: PlantParameters,
-    demand: SwingDemand,
     problem: DownswingProblem,
     begin: tuple[float, Array],
     status: str,
@@ -539,8 +464,9 @@ def _out_of_reach(
 
     `begin` is the duration (s) and the states of the guess, `status` that of the attempt.
     """
-    shortest, longest = problem.time
-    speed = "" if problem.speed is None else f" to {problem.speed:.1f} m/s"
+    demand = problem.demand
+    shortest, longest = demand.downswing_time
+    speed = "" if demand.head_speed is None else f" to {demand.head_speed:.1f} m/s"
     reason = f"no downswing of {shortest:.3f} to {longest:.3f} s{speed} within the limits ({_said(status)})"
     if demand.nearest:
         return reason
@@ -585,7 +511,7 @@ def plan_at_speed(configuration: Configuration, demand: SwingDemand, start: Prof
         DesignFailed: no plan that the plant can follow within its cushions.
     """
     bench = _bench(configuration)
-    return design_downswing(bench, demand, start, _swing_up(bench, demand), lambda what, part: None)[0].plan
+    return design_downswing(bench, demand, start, _swing_up(bench, demand), lambda what, part: None).plan
 
 
 def fastest_plan(configuration: Configuration, demand: SwingDemand) -> DownswingPlan:
@@ -695,7 +621,7 @@ def design_swing(
     text: str = "",
     start: Profile | None = None,
     progress: Progress = lambda what, part: None,
-) -> DesignedSwing:
+) -> Profile:
     """Return a swing that meets `demand` on the configured plant; begins with `start`, or from scratch.
 
     Raises:
@@ -705,9 +631,9 @@ def design_swing(
     load_casadi()  # a missing package must fail before the long part
     bench = _bench(configuration)
     begun = _swing_up(bench, demand)
-    downswing, rounds = design_downswing(bench, demand, start, begun, progress)
+    downswing = design_downswing(bench, demand, start, begun, progress)
     try:
-        profile, downswing = _into_the_loop(bench, demand, begun, downswing, name, golfer, progress)
+        profile = _into_the_loop(bench, demand, begun, downswing, name, golfer, progress)
         profile = replace(profile, text=text or profile.text)
         patterns = start.blind_brake if start is not None else None
         blind = design_blind_brake(
@@ -717,7 +643,7 @@ def design_swing(
         raise DesignFailed(str(failure)) from None
     profile = replace(profile, blind_brake=blind)
     _require_possible(bench, profile)
-    return DesignedSwing(profile, downswing.plan, downswing.trial, rounds)
+    return profile
 
 
 def _require_possible(bench: SimulatedBench, profile: Profile) -> None:
@@ -738,8 +664,8 @@ def _into_the_loop(
     name: str,
     golfer: str,
     progress: Progress,
-) -> tuple[Profile, Downswing]:
-    """Return the profile whose swing in closed loop delivers as `downswing` should, and its downswing.
+) -> Profile:
+    """Return the profile whose swing in closed loop delivers as `downswing` should.
 
     The aim is corrected by the loop's effect, until the head passes the ball as wanted. The effect is the
     delivery in closed loop less that of the same openings alone, so the correction's remaining error cancels.
@@ -759,7 +685,7 @@ def _into_the_loop(
         delivered = _delivered(state, bench.plant)
         off = float(np.abs((delivered - downswing.wanted) / UNITS)[:4].max())
         if best is None or off < best[0]:
-            best = off, _with_figures(profile, bench.plant, state, demand, downswing.trial), downswing
+            best = off, _with_figures(profile, bench.plant, state, demand, downswing.trial)
         if off < 1.0:
             break
         alone = arrival_errors(shooter.arrive(downswing.opening), downswing.wanted)
@@ -772,7 +698,7 @@ def _into_the_loop(
     progress("closed loop", 1.0)
     if best is None or best[0] > NEAR:
         raise LoopFailed("in closed loop the head does not pass the ball as demanded")
-    return best[1], best[2]
+    return best[1]
 
 
 def _bench(configuration: Configuration) -> SimulatedBench:

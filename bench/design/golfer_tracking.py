@@ -21,7 +21,8 @@ from math import degrees
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.design.designer import SwingDemand, downswing_rows, furthest_cock, wrist_range
+from bench.design.designer import downswing_rows, furthest_cock, wrist_range
+from bench.design.optimal_control import SwingDemand
 from bench.golfer.comparison import require_club
 from bench.golfer.golfer_file import GolferSwing
 from bench.swing.golfers import Golfer, HumanDownswing

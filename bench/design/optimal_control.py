@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.settings import EnvelopeSettings
 from bench.design.requirements import load_casadi
 from sim.plant import PlantParameters
 from sim.pneumatics import FLOW_TO_PRESSURE, Actuator
@@ -45,6 +46,8 @@ _PRICE = {"time": 5.0, "rise": 10.0, "speed": 10.0}
 linear, so that only necessary concessions are made, the speed last: a degree is worth some m/s."""
 _ITERATIONS = 600
 """Max number of the optimizer's iterations."""
+_SLEW = 150.0
+"""Max change of an opening, 1/s."""
 _RADAU = 2
 _FRICTION_WIDTH = 0.02
 """Speed over which dry friction changes its sign, m/s or rad/s times ten: a step in the plant."""
@@ -244,50 +247,90 @@ NO_CONCESSIONS = Concessions()
 
 
 @dataclass(frozen=True)
-class DownswingProblem:
-    """Demand on a downswing, and its limits."""
+class SwingDemand:
+    """Demand on a swing: the delivery, the loads and the times."""
 
+    head_speed: float | None = 45.0
+    """Head speed at impact (m/s); None: the robot's highest."""
+    attack: float = 0.0
+    """Angle of the head's path to the ground at the ball, rad, positive rising."""
+    lean: float | None = None
+    """Shaft lean at the ball, rad, in the swing plane, negative with leading hands; None: the easiest within
+    1.5 deg; on turf, where the path falls, up to 10 deg of leading hands."""
+    before_stop: float = 0.0012
+    """Least time from the ball to where the wrist, at its speed, would meet its stop, s. With 0 the fastest
+    swings meet it there: a robot that came a little otherwise met it before the ball, 0.7 % slower in every
+    other swing. On drawn robots it comes up to 0.6 ms nearer than planned."""
+    strike: float = 0.0
+    """Ball off the face's centre along the cut of swing plane and face, m."""
+    margin: float = 0.15
+    """Share of each valve that is left to feedback."""
+    struck_share: float = 0.8
+    """Max share of the cushions' rated energy when the ball is struck."""
+    missed_share: float = 0.97
+    """Max share when it is missed or the bench falls silent."""
+    backswing_time: float = 0.85
+    top_time: float = 0.25
+    downswing_time: tuple[float, float] = (0.15, 0.25)
+    """Shortest and longest, s."""
+    address_cock: float = 0.14
+    """Wrist at address, rad short of its stop."""
+    address_shoulder: float = 0.45
+    """Angle at a ball on a tee, with the rod short of its stop; on turf it follows from the ball's place."""
+    top_shoulder: float = -1.30
+    top_extension: float = 0.02
+    top_cock: float | None = None
+    """Wrist at the top, rad short of its stop; None: as far as its lever turns it."""
+    follow_time: float = 0.7
+    """Time from the ball to the end of the profile (s); braking takes about 0.3 s of it."""
+    no_return_time: float = 0.06
+    """Time before the impact window from which on the ball is struck in any case, s."""
+    least_lever: float = 0.25
+    """Min |sin beta| of the plan; the envelope trips at 0.15."""
+    pressure: float = 1.0e6
+    """Max chamber pressure, Pa absolute."""
+    shoulder_speed: float = 16.0
+    """Max shoulder speed at the ball, to be braked in the follow-through, rad/s."""
+    follow: Array | None = None
+    """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad; rows of NaN
+    do not count."""
+    ranges: Array | None = None
+    """(3,) units of the deviations from them, rad."""
+    nearest: bool = False
+    """Whether a demand out of reach gives way: in the downswing's time, the path's rise, the head speed."""
+
+
+@dataclass(frozen=True)
+class DownswingProblem:
+    """A demand on a downswing, and its limits."""
+
+    demand: SwingDemand
+    envelope: EnvelopeSettings
     start: Array
-    """(16,) state at the top; its angles are free within `top_freedom`."""
-    top_freedom: Array
-    """(3, 2) lowest and highest angles at the top, rad."""
-    speed: float | None
-    """Demanded head speed at the ball, m/s; None: as high as possible."""
+    """(16,) state at the top."""
     slope: float
     """Angle of the head's path in the plane, positive rising (rad)."""
     theta_t: tuple[float, float]
     """Range of the shaft's angle at the ball, rad."""
-    time: tuple[float, float]
-    """Shortest and longest downswing, s."""
     opening: float
     """Max valve opening."""
-    slew: float
-    """Max change of an opening, 1/s."""
-    shoulder: tuple[float, float]
-    wrist: tuple[float, float]
-    """Ranges of theta1 and theta3 before the ball, rad."""
-    speed_limits: tuple[float, float, float]
-    """Shoulder rad/s, rod m/s, wrist rad/s."""
+    shoulder: float
+    """Min theta1 before the ball, rad."""
     shoulder_back: float
     """Max speed of the shoulder backwards, rad/s."""
-    end_stop_max_speed: tuple[float, float, float]
-    min_deceleration: tuple[float, float, float]
-    """Ability of the joints to stop before their end stops, required until `committed` (rad, m, rad)."""
+    wrist: tuple[float, float]
+    """Range of theta3 before the ball, rad."""
     committed: float
-    """Time before the ball from which on it is not required, s."""
-    before_stop: float
-    """Least time from the ball to where the wrist, at its speed, would meet its upper stop, s; 0: any."""
+    """Time before the ball from which on stopping before the end stops is not required, s."""
     cushions: tuple[float, float]
     """Max energy of the upper cushions of right arm and wrist when the ball is missed, J."""
-    shoulder_speed: float
-    """Max shoulder speed at the ball, rad/s."""
-    pressure: float
-    """Max chamber pressure, Pa absolute."""
-    follow: Array | None = None
-    """(n, 3) motion to keep close to, evenly spaced over the downswing, rad; rows of NaN do not count."""
-    ranges: Array | None = None
-    """(3,) units of the deviations from it, rad."""
     concessions: Concessions = NO_CONCESSIONS
+
+    @property
+    def speed_limits(self) -> tuple[float, float, float]:
+        """Shoulder rad/s, rod m/s, wrist rad/s."""
+        a, b, c = self.envelope.max_speed
+        return 0.96 * a, 0.96 * b, 0.96 * c
 
 
 class DownswingPlan(NamedTuple):
@@ -344,8 +387,8 @@ def solve_downswing(
         g_upper.append(np.broadcast_to(np.asarray(high, float), size))
         names.extend([name] * size)
 
-    p = problem
-    slew = np.array([p.slew] * 3)
+    p, demand = problem, problem.demand
+    slew = np.array([_SLEW] * 3)
 
     def advance(
         name: str, state: Expression, step: Expression, guess: Array, rate: Array, low: Array, high: Array
@@ -361,17 +404,15 @@ def solve_downswing(
         return points, control
 
     low, high = _state_bounds(plant, p)
-    longest = p.time[1] + p.concessions.time
-    duration = variable("duration", np.array([guess_time]), p.time[0], longest, ("time",))
+    longest = demand.downswing_time[1] + p.concessions.time
+    duration = variable("duration", np.array([guess_time]), demand.downswing_time[0], longest, ("time",))
     cost: Expression = 0.0
     given: Expression = np.zeros(3)
     if any(p.concessions):
         given = variable("given", np.zeros(3), np.zeros(3), np.array(p.concessions), ("concessions",) * 3)
-        require("tempo", duration - given[0], p.time[0], p.time[1])
-        cost += ca.dot(given, [_PRICE["time"] / p.time[1], _PRICE["rise"], _PRICE["speed"]])
-    first_low, first_high = p.start.copy(), p.start.copy()
-    first_low[:3], first_high[:3] = p.top_freedom[:, 0], p.top_freedom[:, 1]
-    state = variable("x0", guess[0], first_low, first_high, ("the top",) * STATES)
+        require("tempo", duration - given[0], *demand.downswing_time)
+        cost += ca.dot(given, [_PRICE["time"] / demand.downswing_time[1], _PRICE["rise"], _PRICE["speed"]])
+    state = variable("x0", guess[0], p.start, p.start, ("the top",) * STATES)
     step = duration / n
     states, controls = [state], []
     for k in range(n):
@@ -399,26 +440,26 @@ def solve_downswing(
     site = plant.site
     require("ball", head[:2], [site.ball_x, site.ball_y], [site.ball_x, site.ball_y])
     require("shaft lean", head[2], p.theta_t[0], p.theta_t[1])
-    if p.before_stop > 0.0:
-        require("wrist's stop", state[2] + p.before_stop * state[5], -np.inf, plant.wrist.upper)
+    if demand.before_stop > 0.0:
+        require("wrist's stop", state[2] + demand.before_stop * state[5], -np.inf, plant.wrist.upper)
     slope = p.slope + given[1]
     along = ca.cos(slope) * head[3] + ca.sin(slope) * head[4]
     require("slope", -ca.sin(slope) * head[3] + ca.cos(slope) * head[4], 0.0, 0.0)
-    require("shoulder braking", state[3], -p.shoulder_speed, p.shoulder_speed)
-    if p.speed is None:
+    require("shoulder braking", state[3], -demand.shoulder_speed, demand.shoulder_speed)
+    if demand.head_speed is None:
         cost += -along
     else:
-        require("speed", along + given[2], p.speed, p.speed)
-    if p.follow is not None and p.ranges is not None:
+        require("speed", along + given[2], demand.head_speed, demand.head_speed)
+    if demand.follow is not None and demand.ranges is not None:
         for k in range(n + 1):
-            row = p.follow[round(k * (len(p.follow) - 1) / n)]
+            row = demand.follow[round(k * (len(demand.follow) - 1) / n)]
             if np.isfinite(row).all():
-                cost += ca.sumsqr((states[k][:3] - row) / p.ranges) / n * 10.0
+                cost += ca.sumsqr((states[k][:3] - row) / demand.ranges) / n * 10.0
         # Openings that jump are easy to plan and hard to follow.
         cost += (
             sum(0.1 * ca.sumsqr(s[13:]) for s in states) / n + sum(1e-5 * ca.sumsqr(c) for c in controls) / n
         )
-    elif p.speed is not None:
+    elif demand.head_speed is not None:
         cost += sum(ca.sumsqr(s[13:]) for s in states) / n
 
     carried = equations.carried(state)
@@ -473,7 +514,8 @@ def _stop_distance(
     """
     ca = load_casadi()
     towards = speed * ca.sqrt(speed**2 + 0.01)
-    at_end, braking = np.array(p.end_stop_max_speed) ** 2, 2.0 * np.array(p.min_deceleration)
+    at_end = np.array(p.envelope.end_stop_max_speed) ** 2
+    braking = 2.0 * np.array(p.envelope.min_deceleration)
     ends = np.array([[a.lower, a.upper] for a in plant.actuators])
     scale = np.tile(at_end, 2)
     upwards = 0.9 * (at_end + braking * (ends[:, 1] - place)) - towards
@@ -502,16 +544,16 @@ def _gains(found: Any, kinds: list[str], names: list[str], lower: Array, upper: 
 
 
 def _state_bounds(plant: PlantParameters, p: DownswingProblem) -> tuple[Array, Array]:
-    atmosphere = plant.supply.atmosphere / BAR
+    atmosphere, fastest = plant.supply.atmosphere / BAR, p.speed_limits
     low = np.array(
-        [p.shoulder[0], pi + 0.05, p.wrist[0], -p.shoulder_back, -60.0, -p.speed_limits[2]]
+        [p.shoulder, pi + 0.05, p.wrist[0], -p.shoulder_back, -60.0, -fastest[2]]
         + [0.9 * atmosphere] * 6
         + [2.0]
         + [-p.opening] * 3
     )
     high = np.array(
-        [p.shoulder[1], 1.6 * pi, p.wrist[1], p.speed_limits[0], 60.0, p.speed_limits[2]]
-        + [p.pressure / BAR] * 6
+        [plant.shoulder.upper, 1.6 * pi, p.wrist[1], fastest[0], 60.0, fastest[2]]
+        + [p.demand.pressure / BAR] * 6
         + [1.05 * plant.supply.pressure / BAR]
         + [p.opening] * 3
     )

@@ -25,7 +25,7 @@ from bench.commands.common.output import console_of, progress_bar, progress_of_s
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.design.designer import SwingDemand
+    from bench.design.optimal_control import SwingDemand
     from bench.golfer.comparison import MotionDeviation
     from bench.golfer.golfer_file import GolferSwing
     from bench.swing.golfers import Golfer
@@ -133,7 +133,8 @@ def design(
     Deterministic. A demand out of reach is refused with its limit; --nearest designs the nearest swing and
     shows the deviations. A swing that `golfbench check` would refuse is not written.
     """
-    from bench.design.designer import DesignFailed, SwingDemand
+    from bench.design.designer import DesignFailed
+    from bench.design.optimal_control import SwingDemand
     from bench.design.requirements import require_planned_openings
 
     require_folder("FILE", output)
@@ -279,8 +280,8 @@ def _save_design(
             start=start,
             progress=progress,
         )
-    given = gave_way(demand, made.profile)
-    swing = replace(made.profile, text="; ".join([made.profile.text, *given]))
+    given = gave_way(demand, made)
+    swing = replace(made, text="; ".join([made.text, *given]))
     plant = configuration.plant
     row = None
     if golfer is not None:

@@ -29,8 +29,9 @@ from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
 from bench.control.residual_thresholds import limits_path, save_limits
 from bench.control.settings import pid_record
-from bench.design.designer import DesignFailed, SwingDemand, design_swing
+from bench.design.designer import DesignFailed, design_swing
 from bench.design.golfer_tracking import demand_near
+from bench.design.optimal_control import SwingDemand
 from bench.design.threshold_generation import DRAWS, make_limits
 from bench.simulation.series import Bench, Series
 from bench.simulation.sweep import local_engine
@@ -81,7 +82,7 @@ def design_at(configuration: Configuration, speed: float, name: str, start: Prof
     for backswing, top in _TEMPI:
         try:
             asked = replace(demand, backswing_time=backswing, top_time=top)
-            return design_swing(c, asked, name, start=start or near).profile
+            return design_swing(c, asked, name, start=start or near)
         except DesignFailed as failure:
             failures.append(failure)
     raise failures[0]

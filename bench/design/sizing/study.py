@@ -11,8 +11,8 @@ from typing import Any
 
 from bench.base.errors import BenchError, Refused
 from bench.config import Configuration, load_configuration
-from bench.design.designer import DesignFailed, SwingDemand, design_swing, fastest_plan
-from bench.design.optimal_control import BAR, DownswingPlan
+from bench.design.designer import DesignFailed, design_swing, fastest_plan
+from bench.design.optimal_control import BAR, DownswingPlan, SwingDemand
 from bench.design.requirements import load_casadi
 from bench.design.sizing.catalogue import Catalogue
 from bench.design.sizing.hardware import Hardware, configuration_text, highest_pressure, overrides
@@ -214,10 +214,10 @@ class SwingStudy:
         try:
             wanted = self.demand.of(hardware, self.demand.speed)
             made = design_swing(c, wanted, "sized")
-            found = _judged(c, made.profile, self.spacing)
+            found = _judged(c, made, self.spacing)
         except (DesignFailed, Refused) as failure:
             return SizedSwing(nan, str(failure))
-        save_profile(self.folder / f"{hardware.name}.profile.toml", made.profile)
+        save_profile(self.folder / f"{hardware.name}.profile.toml", made)
         return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -10,7 +9,8 @@ import pytest
 from bench.commissioning.swings import robot_swings
 from bench.commissioning.swings.robot_swings import design_at
 from bench.config import load_configuration, shipped_configuration
-from bench.design.designer import DesignFailed, SwingDemand
+from bench.design.designer import DesignFailed
+from bench.design.optimal_control import SwingDemand
 
 
 @pytest.mark.parametrize("works_from", [0.85, 1.1, 9.0])
@@ -19,12 +19,12 @@ def test_design_at_failed_design_tries_slower_backswing(
 ) -> None:
     tried = list[float]()
 
-    def design(_: Any, demand: SwingDemand, name: str, **given: Any) -> SimpleNamespace:
+    def design(_: Any, demand: SwingDemand, name: str, **given: Any) -> str:
         tried.append(demand.backswing_time)
         assert demand.before_stop > 0.0
         if demand.backswing_time < works_from:
             raise DesignFailed(f"wrist folded too far in {demand.backswing_time} s")
-        return SimpleNamespace(profile=name)
+        return name
 
     monkeypatch.setattr(robot_swings, "design_swing", design)
     configuration = load_configuration(shipped_configuration())

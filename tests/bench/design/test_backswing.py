@@ -11,7 +11,8 @@ from bench.config import load_configuration
 from bench.control.moves.pressure_plan import with_planned_air
 from bench.control.settings import pid_record
 from bench.design import designer
-from bench.design.designer import SwingDemand, address_pose, top_pose
+from bench.design.designer import address_pose, top_pose
+from bench.design.optimal_control import SwingDemand
 from bench.design.refine import learned_backswing
 from tests.bench.commissioning.drawn_robots import drawn_robot
 from tests.sampling import release_except

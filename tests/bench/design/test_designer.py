@@ -6,7 +6,6 @@ import sys
 from dataclasses import replace
 from math import asin, radians, sin
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from bench.design import designer
 from bench.design.closed_loop import Rehearsal
 from bench.design.designer import (
     DesignFailed,
-    SwingDemand,
     _Cushions,
     _guess_from,
     _model_state,
@@ -38,6 +36,7 @@ from bench.design.optimal_control import (
     STATES,
     DownswingPlan,
     DownswingProblem,
+    SwingDemand,
     _radau_slopes,
     _state_bounds,
     build_equations,
@@ -309,7 +308,7 @@ def test_solve_downswing_unreachable_demand_returns_nearest_plan(plant: PlantPar
     assert 46.0 < plan.speed < 57.0
     assert plan.speed == pytest.approx(np.hypot(vx, vy), abs=1e-3)
     assert problem.slope - 1e-5 <= np.arctan2(vy, vx) <= problem.slope + problem.concessions.rise + 1e-5
-    assert plan.time[-1] <= problem.time[1] + problem.concessions.time + 1e-6
+    assert plan.time[-1] <= demand.downswing_time[1] + problem.concessions.time + 1e-6
     assert np.all(plan.carried <= np.array(problem.cushions) + 1e-3)
 
 
@@ -321,7 +320,7 @@ def test_design_downswing_without_guess_meets_demand(monkeypatch: pytest.MonkeyP
     demand = SwingDemand(head_speed=38.0, attack=radians(2.0))
     told = list[tuple[str, float]]()
     begun = _swing_up(bench, demand)
-    found, _ = design_downswing(bench, demand, None, begun, lambda what, part: told.append((what, part)))
+    found = design_downswing(bench, demand, None, begun, lambda what, part: told.append((what, part)))
     ratings = [[a.stop.energy] for a in bench.plant.actuators]
     assert found.trial.struck
     assert np.hypot(*found.trial.head[3:5]) == pytest.approx(38.0, abs=0.1)
@@ -357,9 +356,9 @@ def test_require_possible_faulty_profile_raises_check_fault() -> None:
 
 def test_design_swing_faulty_result_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(designer, "_swing_up", lambda *_: None)
-    monkeypatch.setattr(designer, "design_downswing", lambda *_: (SimpleNamespace(plan=None, trial=None), 1))
+    monkeypatch.setattr(designer, "design_downswing", lambda *_: None)
     made = replace(load_profile(find_profile("default")), club="none")
-    monkeypatch.setattr(designer, "_into_the_loop", lambda *arguments: (made, arguments[3]))
+    monkeypatch.setattr(designer, "_into_the_loop", lambda *_: made)
     monkeypatch.setattr(designer, "design_blind_brake", lambda *_: made.blind_brake)
     with pytest.raises(DesignFailed, match='club: found "none"'):
         design_swing(load_configuration(None), SwingDemand(), "made")

@@ -9,8 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.commands.cli import app
-from bench.design.designer import SwingDemand, top_pose
+from bench.design.designer import top_pose
 from bench.design.golfer_tracking import demand_near
+from bench.design.optimal_control import SwingDemand
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters

@@ -7,11 +7,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from bench.simulation.local_engine import InProcess
 
 from bench.config import load_configuration
 from bench.design import highest_speed as module
-from bench.design.designer import DesignFailed, SwingDemand
+from bench.design.designer import DesignFailed
 from bench.design.highest_speed import DownswingStudy, highest_speed
+from bench.design.optimal_control import SwingDemand
 from bench.simulation.sweep import InProcess
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

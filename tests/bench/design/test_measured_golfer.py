@@ -10,8 +10,9 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.config import load_configuration
-from bench.design.designer import SwingDemand, furthest_cock, top_pose, wrist_range
+from bench.design.designer import furthest_cock, top_pose, wrist_range
 from bench.design.golfer_tracking import demand_measured
+from bench.design.optimal_control import SwingDemand
 from bench.golfer.comparison import beyond_ranges
 from bench.golfer.golfer_file import GolferSwing
 from sim.kinematics import right_arm_length

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from bench.base.errors import BenchError
 from bench.config import load_configuration
-from bench.design.designer import SwingDemand, top_pose
+from bench.design.designer import top_pose
 from bench.design.golfer_tracking import RUN_UP, SLOWER, TEMPO, demand_like, gave_way
+from bench.design.optimal_control import SwingDemand
 from bench.swing.golfers import (
     BACKSWING_DURATION,
     DOWNSWING_DURATION,
