@@ -37,11 +37,21 @@ from bench.design.optimal_control import (
     DownswingPlan,
     DownswingProblem,
     SwingDemand,
+    load_casadi,
     solve_downswing,
 )
-from bench.design.refine import NEAR, UNITS, NotReached, arrival_errors, learned_backswing, refine
-from bench.design.requirements import load_casadi
-from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, ShootingTrial
+from bench.design.refine import (
+    AFTER_CONTACT,
+    NEAR,
+    SHAFT_DOWN,
+    UNITS,
+    NotReached,
+    Shooter,
+    ShootingTrial,
+    arrival_errors,
+    learned_backswing,
+    refine,
+)
 from bench.design.static_checks import profile_faults
 from bench.simulation.safety import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 from bench.config import Configuration
 from bench.design.designer import DesignFailed, plan_at_speed
-from bench.design.optimal_control import DownswingPlan, SwingDemand
-from bench.design.requirements import load_casadi
+from bench.design.optimal_control import DownswingPlan, SwingDemand, load_casadi
 from bench.simulation.sweep import Engine, sweep
 from bench.swing.profile import Profile
 

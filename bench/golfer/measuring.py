@@ -1,30 +1,18 @@
-"""From recorded markers to a golfer's swing: unit, axes, sides, events, plane, angles on 1 ms.
+"""From recorded markers to a golfer's swing: unit, axes, sides, events, plane, angles on 1 ms. SI units.
 
-The filter sees frames before the ball only.
+Paths over time, the events of a swing in them, and the gates that refuse a recording. The filter sees frames
+before the ball only.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, filtfilt
 
 from bench.base.errors import BenchError
-from bench.golfer.events import (
-    GIVEN,
-    PLACE,
-    Impact,
-    at_times,
-    check_arm,
-    check_exchanges,
-    check_jumps,
-    check_losses,
-    check_swing,
-    continued,
-    filled,
-    find_impact,
-    find_top,
-    missing_runs,
-    smooth,
-)
 from bench.golfer.golfer_file import HANDS_CUTOFF, STEP, ImportOptions, MeasuredSwing
 from bench.golfer.roles import (
     Array,
@@ -40,6 +28,344 @@ from bench.golfer.roles import (
     projected_angle,
     turn_about,
 )
+
+MAX_GAP = 0.040
+"""Max length of a gap in the downswing that is filled (s)."""
+_AHEAD = 0.060
+"""Duration of the continuation beyond the last frame (s); the filter needs it, the result does not."""
+
+
+def missing_runs(path: Array) -> list[tuple[int, int]]:
+    """Return the gaps of `path` (n, 3) as (first missing frame, first frame after it)."""
+    lost = np.isnan(path[:, 0]).astype(int)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost, [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def filled(path: Array, rate: float) -> Array:
+    """Return `path` (n, 3) without gaps: cubic up to MAX_GAP, linear beyond, constant at its ends.
+
+    `rate` is the frame rate (Hz). At least four frames must be present.
+    """
+    seen = np.flatnonzero(~np.isnan(path[:, 0]))
+    frames = np.arange(len(path))
+    whole = np.column_stack([np.interp(frames, seen, path[seen, i]) for i in range(path.shape[1])])
+    curve = CubicSpline(seen, path[seen])
+    for first, end in missing_runs(path):
+        if first > seen[0] and end - 1 < seen[-1] and end - first <= MAX_GAP * rate:
+            whole[first:end] = curve(frames[first:end])
+    return whole
+
+
+def second_differences(path: Array) -> Array:
+    """Return the length of the second difference at each frame (m), 0 at ends and next to gaps."""
+    found = np.zeros(len(path))
+    found[1:-1] = np.nan_to_num(np.linalg.norm(np.diff(path, 2, axis=0), axis=1))
+    return found
+
+
+def smooth(path: Array, rate: float, cutoff: float) -> Array:
+    """Return `path` (n, k) through a second-order Butterworth filter, forth and back; `cutoff` in Hz."""
+    b, a = butter(2, min(cutoff, 0.4 * rate) / (rate / 2.0))
+    smoothed: Array = filtfilt(b, a, path, axis=0, padlen=min(len(path) - 2, int(rate)))
+    return smoothed
+
+
+def continued(path: Array, rate: float, centre: Array | None = None) -> Array:
+    """Return `path` (n, 3) with its motion continued, as if there were no ball.
+
+    With a `centre` (3,) its angle and distance in the plane of the last frames are continued, else its
+    coordinates: each by a polynomial through the last frames.
+    """
+    count = int(np.ceil(_AHEAD * rate))
+    if centre is None:
+        return np.concatenate([path, _polynomial(path, rate, count, 0.080, 3)])
+    last = path[-max(int(0.080 * rate), 8) :] - centre
+    _, _, axes = np.linalg.svd(last - last.mean(axis=0), full_matrices=False)
+    local = last @ axes.T
+    angle = np.unwrap(np.arctan2(local[:, 1], local[:, 0]))
+    polar = np.column_stack([angle, np.hypot(local[:, 0], local[:, 1]), local[:, 2]])
+    ahead = _polynomial(polar, rate, count, 0.015, 2)
+    turned = np.column_stack(
+        [ahead[:, 1] * np.cos(ahead[:, 0]), ahead[:, 1] * np.sin(ahead[:, 0]), ahead[:, 2]]
+    )
+    return np.concatenate([path, centre + turned @ axes])
+
+
+def _polynomial(values: Array, rate: float, count: int, span: float, degree: int) -> Array:
+    """Return the next `count` rows of `values`, by least squares over the last `span` (s)."""
+    fit = min(max(round(span * rate), degree + 3), len(values))
+    at = np.arange(1 - fit, 1) / rate
+    next_ = np.arange(1, count + 1) / rate
+    found: Array = np.vander(next_, degree + 1) @ np.polyfit(at, values[-fit:], degree)
+    return found
+
+
+def at_times(path: Array, rate: float, start: float, time: Array) -> tuple[Array, Array]:
+    """Return values and derivatives of the frames `path` (n, k), the first at `start` (s), at `time` (s)."""
+    curve = CubicSpline(start + np.arange(len(path)) / rate, path)
+    return curve(time), curve(time, 1)
+
+
+LOSS = "loss of head speed"
+PLACE = "position at address"
+GIVEN = "--events"
+_MIN_LOSS = 0.06
+"""Min loss of speed at a ball, as a fraction."""
+_BEGUN = 0.15
+"""Fraction of the loss that marks its start."""
+_STILL = 0.35
+"""Max speed of a club that stands at the ball (m/s)."""
+_STILL_TIME = 0.050
+"""Time over which this speed is measured (s)."""
+_NEAR_BALL = 0.3
+"""Max distance of the position at address from the path around the fastest frame (m)."""
+_SPREAD = 0.012
+"""Max time between the two clues that mean one ball (s)."""
+_HEAD_FASTEST = 0.080, 0.080
+"""Max time of the ball before and after the fastest frame of the head (s)."""
+_HANDS_FASTEST = 0.020, 0.200
+"""Max time of the ball before and after the fastest frame of the hands (s)."""
+
+
+class Impact(NamedTuple):
+    """Instant of the ball."""
+
+    frame: float
+    """Frame and its fraction."""
+    clue: str
+
+
+def find_impact(path: Array, rate: float, *, is_head: bool = True) -> Impact | None:
+    """Return where `path` (n, 3; m) meets the ball, None without either clue; hands lose no speed.
+
+    A recording that ends before the ball has neither a loss of speed nor a pass of the address.
+    """
+    speed = np.linalg.norm(np.diff(path, axis=0), axis=1) * rate
+    steady = np.median(np.stack([speed[:-2], speed[1:-1], speed[2:]]), axis=0)
+    fastest = int(np.argmax(steady)) + 1
+    before, after = (max(int(t * rate), 2) for t in (_HEAD_FASTEST if is_head else _HANDS_FASTEST))
+    rows = range(max(fastest - before, 1), min(fastest + after, len(path) - 1))
+    place = _passing(path, fastest, rows, rate)
+    loss = _loss(speed, rows, rate) if is_head else None
+    if loss is not None and (place is None or abs(loss - place) <= _SPREAD * rate):
+        return Impact(loss, LOSS)
+    return None if place is None else Impact(place, PLACE)
+
+
+def _passing(path: Array, fastest: int, rows: range, rate: float) -> float | None:
+    """Return the frame in which `path` passes its position at address on its way to the target."""
+    over = max(round(_STILL_TIME * rate), 1)
+    moved = np.linalg.norm(path[over:] - path[:-over], axis=1)
+    still = np.flatnonzero(moved[: max(fastest - over, 0)] < _STILL * _STILL_TIME)
+    if not len(rows) or not len(still):
+        return None
+    # The top is also a pause, but the path to the ball does not come near it.
+    apart = np.linalg.norm(path[still, None] - path[None, rows.start : rows.stop], axis=2).min(axis=1)
+    if not (apart < _NEAR_BALL).any():
+        return None
+    address = np.median(path[still[apart < _NEAR_BALL][-len(rows) :]], axis=0)
+    nearest = rows.start + int(np.argmin(np.linalg.norm(path[rows.start : rows.stop] - address, axis=1)))
+    along = path[nearest + 1] - path[nearest - 1]
+    ahead = (path - address) @ along
+    for k in range(max(nearest - 2, 0), min(nearest + 2, len(path) - 1)):
+        if ahead[k] < 0.0 <= ahead[k + 1]:
+            return float(k + ahead[k] / (ahead[k] - ahead[k + 1]))
+    return None
+
+
+def _loss(speed: Array, rows: range, rate: float) -> float | None:
+    """Return the frame (with its fraction) between which `speed` (m/s, per interval) falls at once."""
+    few, more = max(2, round(0.008 * rate)), max(3, round(0.020 * rate))
+    falls = np.zeros(len(speed))
+    for k in range(max(rows.start, few), min(rows.stop, len(speed) - 3)):
+        before = float(np.median(speed[k - few : k]))
+        fall = before - float(np.median(speed[k + 1 : k + 1 + more]))
+        if fall > max(_MIN_LOSS * before, 3.0 * _scatter(speed[max(k - 4 * few, 0) : k])):
+            falls[k] = fall
+    if not falls.any():
+        return None
+    most = int(np.argmax(falls))
+    before = float(np.median(speed[most - few : most]))
+    after = float(np.median(speed[most + 1 : most + 1 + more]))
+    first = max(most - 2 * few, few)
+    peak = first + int(np.argmax([np.median(speed[k - 1 : k + 2]) for k in range(first, most + 1)]))
+    # A marker may take more than one frame to slow down: the ball is where the fall begins.
+    scatter = _scatter(speed[max(most - 5 * few, 0) : most])
+    low = before - max(_BEGUN * (before - after), min(3.0 * scatter, 0.4 * (before - after)))
+    found = peak + int(np.argmax(speed[peak : most + 2] < low))
+    before = float(np.median(speed[found - few : found]))
+    return found + float(np.clip((speed[found] - after) / (before - after), 0.0, 1.0))
+
+
+def _scatter(speed: Array) -> float:
+    """Return the standard deviation of the noise in `speed` (m/s), by its second differences."""
+    return float(np.std(np.diff(speed, 2))) / 2.4 if len(speed) > 4 else 0.0
+
+
+def find_top(time: Array, speed: Array, shortest: float = 0.10, longest: float = 0.75) -> int | None:
+    """Return the row of the slowest hands before the ball, None where they slow down nowhere.
+
+    `time` (s) ends at the ball with 0, `speed` (m/s) is that of the hands or the turning of the club.
+    """
+    rows = np.flatnonzero((time >= -longest) & (time <= -shortest))
+    if len(rows) < 3:
+        return None
+    row = int(rows[np.argmin(speed[rows])])
+    return row if rows[0] < row < rows[-1] else None
+
+
+_JUMP = 0.050
+"""Max jump of a marker in a frame (m)."""
+_EXCHANGE = 0.060
+"""Min sum of the jumps of two markers that may be exchanged (m)."""
+_AT_BALL = 0.020
+"""Time around the ball in which head and lead wrist must be seen (s)."""
+_CHECKED = 1.2
+"""Time before the ball in which jumps are refused (s)."""
+_ARM_CHANGE = 0.12
+"""Max change of the distance from lead shoulder to lead wrist in the downswing (m)."""
+_RECORD = "Repair the marker in the recording's software, or record the swing again."
+
+Markers = dict[str, tuple[str, ...]]
+
+
+def check_jumps(capture: Capture, raw: dict[str, Array], markers: Markers, impact: float) -> None:
+    """Raise BenchError where a marker but the head's jumps before the ball (raw paths in m)."""
+    first, end = max(int(impact - _CHECKED * capture.rate), 0), int(impact) + 1
+    for role, path in raw.items():
+        if role == "head":
+            continue
+        # A jump to and fro shows twice its length in the second difference, one that stays once.
+        jumps = second_differences(path)[first:end]
+        limit = _JUMP + 400.0 / capture.rate**2
+        if jumps.max(initial=0.0) > limit:
+            frame = first + int(np.argmax(jumps > limit))
+            found = f"a jump of {1e3 * jumps[frame - first]:.0f} mm in a frame, or swapped sides"
+            raise capture.error(found, f"jumps below {1e3 * _JUMP:.0f} mm", _RECORD, frame, markers[role][0])
+
+
+def check_exchanges(capture: Capture, raw: dict[str, Array], markers: Markers, impact: float) -> None:
+    """Raise BenchError where the markers of two sides are exchanged from one frame to the next."""
+    first, end = max(int(impact - _CHECKED * capture.rate), 2), int(impact) + 1
+    for part in ("shoulder", "wrist", "hip"):
+        pair = [raw[f"{side}_{part}"] for side in ("lead", "trail") if f"{side}_{part}" in raw]
+        if len(pair) < 2:
+            continue
+        here = np.stack(pair)[:, first:end]
+        ahead = np.stack([2.0 * path[first - 1 : end - 1] - path[first - 2 : end - 2] for path in pair])
+        kept = np.linalg.norm(here - ahead, axis=2).sum(axis=0)
+        exchanged = np.linalg.norm(here[::-1] - ahead, axis=2).sum(axis=0)
+        wrong = np.flatnonzero((kept > _EXCHANGE) & (exchanged < 0.5 * kept))
+        if len(wrong):
+            found = f"sides swapped: the two {part}s are exchanged"
+            expected = "each marker on its side in all frames"
+            raise capture.error(found, expected, _RECORD, first + int(wrong[0]), markers[f"lead_{part}"][0])
+
+
+def check_losses(capture: Capture, raw: dict[str, Array], markers: Markers, impact: float) -> None:
+    """Raise BenchError where head or lead wrist are lost near the ball."""
+    for role in ("head", "lead_wrist"):
+        for first, end in missing_runs(raw[role]) if role in raw else ():
+            near = _AT_BALL * capture.rate
+            if first <= impact + near and end - 1 >= impact - near:
+                found = f"marker lost in frames {first + 1} to {end}, at the ball"
+                expected = f"{role.replace('_', ' ')} seen within {1e3 * _AT_BALL:.0f} ms of the ball"
+                raise capture.error(found, expected, _RECORD, first, markers[role][0])
+
+
+def check_arm(capture: Capture, raw: dict[str, Array], markers: Markers, impact: float) -> None:
+    """Raise BenchError where lead arm or club change their length: swapped wrists, another marker."""
+    part = slice(max(int(impact - 0.25 * capture.rate), 0), int(impact) + 1)
+    for start, to, limit in (("lead_shoulder", "lead_wrist", _ARM_CHANGE), ("grip", "head", 0.15)):
+        if start not in raw or to not in raw:
+            continue
+        length = np.linalg.norm(raw[to][part] - raw[start][part], axis=1)
+        middle = float(np.nanmedian(length))
+        wrong = np.flatnonzero(np.abs(length - middle) > limit)
+        if len(wrong) > 0.2 * len(length):
+            parts = f"{start} to {to}".replace("_", " ")
+            found = f"{length[wrong[0]]:.2f} m from {parts}, {middle:.2f} m in the median"
+            raise capture.error(
+                found,
+                "a constant length",
+                "Correct the markers of these roles.",
+                part.start + int(wrong[0]),
+                markers[to][0],
+            )
+    if "head" in raw:
+        grip, head = (
+            np.nanmedian(np.linalg.norm((raw[role] - raw["lead_wrist"])[part], axis=1))
+            for role in ("grip", "head")
+        )
+        if head < grip + 0.2:
+            found = f"head {head:.2f} m and grip {grip:.2f} m from the lead wrist"
+            raise capture.error(
+                found,
+                "the head further away",
+                "Correct the markers of grip and head.",
+                part.start,
+                markers["head"][0],
+            )
+    if "trail_wrist" in raw and "head" in raw:
+        lead, trail = (
+            np.linalg.norm(raw[f"{side}_wrist"][part] - raw["head"][part], axis=1)
+            for side in ("lead", "trail")
+        )
+        if float(np.nanmedian(lead - trail)) < -0.02:
+            raise capture.error(
+                "sides swapped: the trail wrist is above the lead wrist on the club",
+                "the lead wrist nearer to the end of the grip",
+                "Correct the markers of the wrists.",
+                part.start,
+                markers["lead_wrist"][0],
+            )
+
+
+def check_swing(
+    capture: Capture,
+    swing: MeasuredSwing,
+    markers: Markers,
+    gaps: dict[str, list[tuple[int, int]]],
+    impact: float,
+) -> None:
+    """Raise BenchError where the motion is no golf swing, or a gap in the downswing is too long to fill."""
+    top = impact + swing.time[swing.top_row] * capture.rate
+    for role, runs in gaps.items():
+        for first, end in runs:
+            if (
+                first <= impact
+                and end > top
+                and (end - first) > MAX_GAP * capture.rate
+                and not role.endswith("hip")
+            ):
+                found = f"a gap of {1e3 * (end - first) / capture.rate:.0f} ms in the downswing"
+                expected = f"gaps of at most {1e3 * MAX_GAP:.0f} ms"
+                raise capture.error(found, expected, _RECORD, first, markers[role][0])
+    angle = np.degrees(swing.angle[swing.downswing])
+    seen = [
+        ("plane", np.degrees(swing.plane), 25.0, 80.0, "°"),
+        ("turn of the shoulders in the downswing", angle[-1, 0] - angle[0, 0], 30.0, 220.0, "°"),
+        (
+            "swing of the lead arm in the downswing",
+            angle[-1, :2].sum() - angle[0, :2].sum(),
+            60.0,
+            260.0,
+            "°",
+        ),
+        ("hand speed", float(swing.speed["lead_wrist"].max()), 3.0, 20.0, " m/s"),
+    ]
+    if swing.has_club:
+        seen += [
+            ("head speed", float(swing.speed["head"][-1]), 12.0, 75.0, " m/s"),
+            ("turn of the shaft in the downswing", angle[-1].sum() - angle[0].sum(), 120.0, 360.0, "°"),
+        ]
+    for what, value, low, high, unit in seen:
+        if not low <= value <= high:
+            found = f"no golf swing: {what} {value:.0f}{unit}"
+            action = "Import a recording of one full swing; check the markers of the roles."
+            raise capture.error(found, f"{low:g} to {high:g}{unit}", action, int(impact))
+
 
 _CLEAR = 0.001
 """Time before the ball from which frames are left out, since the ball may have touched the head (s)."""

@@ -23,7 +23,7 @@ from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Role, Step
 from bench.campaign.run.plan_requirements import Profiles
 from bench.config import Configuration
-from bench.design.requirements import require_planned_openings
+from bench.design.optimal_control import require_planned_openings
 from bench.learning.delivery import Tolerance
 from bench.learning.learn import LearningProblem, Swinger, learn, prepare
 from bench.learning.store import Conditions, Learned, drifted, keep, learned_swings, newest_that_holds, stored

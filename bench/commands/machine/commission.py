@@ -71,7 +71,7 @@ def commission(
     from bench.commissioning.commissioning import begin
     from bench.commissioning.machine.driver_machine import SimulatedMachine
     from bench.config import load_configuration
-    from bench.design.requirements import load_casadi
+    from bench.design.optimal_control import load_casadi
 
     configuration = context.ensure_object(Session).configuration()
     simulated = sim or configuration.driver.name == "sim"

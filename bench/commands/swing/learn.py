@@ -75,7 +75,7 @@ def learn(
     The target is the delivery that the profile plans. Exits with 1 if it is not reached.
     """
     from bench.config import database_url
-    from bench.design.requirements import require_planned_openings
+    from bench.design.optimal_control import require_planned_openings
     from bench.learning.store import Conditions, keep, stored
     from bench.simulation.series import Bench
     from bench.store.database import open_database

@@ -134,8 +134,7 @@ def design(
     shows the deviations. A swing that `golfbench check` would refuse is not written.
     """
     from bench.design.designer import DesignFailed
-    from bench.design.optimal_control import SwingDemand
-    from bench.design.requirements import require_planned_openings
+    from bench.design.optimal_control import SwingDemand, require_planned_openings
 
     require_folder("FILE", output)
     configuration = context.ensure_object(Session).configuration().with_club(club)

@@ -12,8 +12,7 @@ from typing import Any
 from bench.base.errors import BenchError, Refused
 from bench.config import Configuration, load_configuration
 from bench.design.designer import DesignFailed, design_swing, fastest_plan
-from bench.design.optimal_control import BAR, DownswingPlan, SwingDemand
-from bench.design.requirements import load_casadi
+from bench.design.optimal_control import BAR, DownswingPlan, SwingDemand, load_casadi
 from bench.design.sizing.catalogue import Catalogue
 from bench.design.sizing.hardware import Hardware, configuration_text, highest_pressure, overrides
 from bench.design.stop_verification import SwingCheck

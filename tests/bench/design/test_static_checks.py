@@ -12,13 +12,16 @@ import pytest
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.control.settings import EnvelopeSettings
-from bench.design.air_limits import force_bounds, needed_force, steady_speed, stop_forces
 from bench.design.static_checks import (
     beyond_range,
     check_profile,
+    force_bounds,
+    needed_force,
     other_rate,
     profile_faults,
     require_possible,
+    steady_speed,
+    stop_forces,
 )
 from bench.swing.motion import Motion, phase_times
 from bench.swing.profile import Profile
