@@ -92,7 +92,7 @@ def simulate(
     context: typer.Context,
     profile: Name,
     output: Annotated[
-        Path | None, option("Folder for pictures and records.", "DIR", shown="DATA_DIR/simulations/NAME")
+        Path | None, option("Folder for the record.", "DIR", shown="DATA_DIR/simulations/NAME")
     ] = None,
     club: ClubName = None,
     ball: Annotated[str | None, option("Ball of the configuration.", "NAME")] = None,
@@ -102,8 +102,9 @@ def simulate(
 
     Exits with 1 if the shot is invalid.
     """
-    from bench.design.swing_result import outcome_record, outcome_table, write_outcome
+    from bench.design.swing_result import outcome_record, outcome_table
     from bench.records.shot.recorded_shot import FlightConditions
+    from bench.records.telemetry.recorder import write_swing
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
     from bench.supervisor.readiness import assess_bench
 
@@ -123,12 +124,14 @@ def simulate(
     with deferred_interrupt() as asked, waiting:
         result = simulate_swing(bench, stop=asked.is_made)
         record = outcome_record(result, datetime.now(UTC))
-        files = write_outcome(output, result, bench.metadata(record | result.replay_metadata()))
+        output.mkdir(parents=True, exist_ok=True)
+        file = output / "swing.parquet"
+        write_swing(file, result.cycles, bench.metadata(record | result.replay_metadata()))
     if json_:
-        show_json(record | {"files": [str(file) for file in files]})
+        show_json(record | {"files": [str(file)]})
     else:
         console.print(outcome_table(result, plant, record))
-        console.print("Files: " + ", ".join(map(str, files)), highlight=False)
+        console.print(f"Record: {file}", highlight=False)
     exit_unless(not result.reason)
 
 
