@@ -1,24 +1,32 @@
-"""The run through the steps: state stored after each, resumable, the machine passive whatever ends it."""
+"""The run through the steps: state stored after each, resumable, the machine passive whatever ends it.
+
+Its results: the commissioned robot as a configuration over the one it began with, and the report to sign.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from hashlib import sha256
+from importlib.resources import files
 from pathlib import Path
+from shlex import quote
+from textwrap import wrap
 from typing import Any, NamedTuple, TypedDict, TypeVar, get_type_hints
 
+import jinja2
 import numpy as np
 
 from bench.base.atomic_file import NotStored, atomic_file, nearest_entry
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import read_text
-from bench.base.json_schema import require_fit
+from bench.base.json_schema import json_value, require_fit
+from bench.base.to_toml import toml_value
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
 from bench.commissioning.machine.inputs import OperatorIO
@@ -33,7 +41,6 @@ from bench.commissioning.machine.step import (
     ParameterEstimate,
     RobotEstimate,
     StepResult,
-    SwingingStep,
     SwungRobot,
     Traces,
 )
@@ -47,9 +54,10 @@ from bench.commissioning.swings.speed_ramp import LEARNING, SWINGS
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot
 from bench.config import Configuration
 from bench.control.measured_plant import value_at
+from bench.control.settings import EnvelopeSettings
 from bench.supervisor.ownership import try_lock
 from bench.swing.profile import load_profile
-from sim.plant import PlantParameters
+from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 STATE_FILE, ROBOT_FILE, _LOCK_FILE = "commissioning.json", "robot.toml", "process"
 _VERSION = 1
@@ -136,17 +144,8 @@ class Commissioning:
     def save(self) -> None:
         """Store the state, whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        content = {
-            "version": _VERSION,
-            "digest": self.digest,
-            "configuration": self.configuration,
-            "simulated": self.simulated,
-            "robot": self.robot,
-            "done": [
-                step._asdict() | {"values": [value._asdict() for value in step.values]} for step in self.done
-            ],
-            "wrong": None if self.wrong is None else self.wrong._asdict(),
-        }
+        content = {"version": _VERSION} | json_value(vars(self))
+        del content["folder"]
         with atomic_file(self.folder / STATE_FILE) as stream:
             stream.write(json.dumps(content, indent=1).encode())
 
@@ -291,17 +290,15 @@ def see_inputs(
     """
     if in_force is None and state.has_done(INPUT_CHECK):
         return
-
-    def check() -> StepResult:
+    with _doing(state, INPUT_CHECK, (lambda step: None) if in_force else on_step) as done:
         if in_force:
-            return StepResult((), (f"{in_force} is in force",))
+            done(StepResult((), (f"{in_force} is in force",)))
+            return
         seen, findings = check_inputs(machine, hands, configuration, progress)
         keep(seen)
         raise_findings(findings)
         beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge"
-        return StepResult((), (f"seen to change: {', '.join(seen.seen)}", beside))
-
-    _do(state, INPUT_CHECK, (lambda step: None) if in_force else on_step, check)
+        done(StepResult((), (f"seen to change: {', '.join(seen.seen)}", beside)))
 
 
 def commission(
@@ -328,17 +325,14 @@ def commission(
             if state.has_done(step):
                 continue
             file = f"records/{number}-{step.name}.npz"
-
-            def work(step: CommissioningStep = step, file: str = file) -> StepResult:
+            with _doing(state, step, on_step, file, lambda: machine.time) as done:
                 counted = _CountedMachine(machine, step.title, progress)
                 traces, stalls = _measured(step, counted, known, progress)
                 write_traces(state.folder / file, traces)
                 result = step.estimate(traces, known)
                 values = tuple(value._replace(step=step.name) for value in result.values)
-                return StepResult(values, (*result.notes, *stalls, *observe()))
-
-            _do(state, step, on_step, work, file, lambda: machine.time)
-            known.add(state.done[-1].values)
+                done(StepResult(values, (*result.notes, *stalls, *observe())))
+            known.add(values)
     finally:
         machine.make_passive()
     return known
@@ -365,15 +359,12 @@ def commission_swings(
         if state.has_done(step):
             continue
         diagnosed = DiagnosedRobot(robot, state.values, records)
-
-        def work(step: SwingingStep = step, diagnosed: DiagnosedRobot = diagnosed) -> StepResult:
+        with _doing(state, step, on_step, "records") as done:
             try:
                 swung = known_with_swing(known, state.folder) if state.has_done(SWINGS) else known
-                return step.swing(diagnosed, swung, state.folder, progress)
+                done(step.swing(diagnosed, swung, state.folder, progress))
             except Refused as error:
                 raise diagnosed.explained(error) from error.__cause__
-
-        _do(state, step, on_step, work, "records")
 
 
 def known_with_swing(known: Configuration, folder: Path) -> Configuration:
@@ -385,29 +376,32 @@ def known_with_swing(known: Configuration, folder: Path) -> Configuration:
     return with_following_limits(known, profile).for_profile(profile, file)
 
 
-def _do(
+@contextmanager
+def _doing(
     state: Commissioning,
     step: NamedStep,
     on_step: Callable[[NamedStep], None],
-    work: Callable[[], StepResult],
     record: str = "",
     clock: Callable[[], float] = time.monotonic,
-) -> None:
-    """Do `step` by `work`, timed by `clock` (s), and store in `state` that it is done, or its fault."""
+) -> Iterator[Callable[[StepResult], None]]:
+    """Yield what stores the result of `step`, timed by `clock` (s), in `state`; a fault of it is stored."""
     on_step(step)
     begun = clock()
+
+    def store(result: StepResult) -> None:
+        named, date = (step.name, step.title, step.bounds_text), datetime.now(UTC).isoformat()
+        done = DoneStep(*named, date, clock() - begun, record, result.values, result.notes)
+        others = [one for one in state.done if one.name != step.name]
+        state.done = [done, *others] if step is INPUT_CHECK else [*others, done]
+        state.save()
+
     try:
-        result = work()
+        yield store
     except MachineFault as error:
         date = datetime.now(UTC).isoformat()
         state.wrong = FaultRecord(step.name, date, error.location, error.found, error.expected, error.action)
         state.save()
         raise
-    named, date = (step.name, step.title, step.bounds_text), datetime.now(UTC).isoformat()
-    done = DoneStep(*named, date, clock() - begun, record, result.values, result.notes)
-    others = [one for one in state.done if one.name != step.name]
-    state.done = [done, *others] if step is INPUT_CHECK else [*others, done]
-    state.save()
 
 
 def _measured(
@@ -477,3 +471,135 @@ def commissioning_process(folder: Path) -> int | None:
 def _owner(folder: Path) -> int | None:
     text = (folder / _LOCK_FILE).read_text(encoding="ascii").strip()
     return int(text) if text.isdecimal() else None
+
+
+GUESSES = (
+    "lengths",
+    "masses and inertias whose standard error is 7 %",
+    "damping of the spools",
+    "Stribeck speeds",
+    "polytropic exponent of the chambers",
+    "feed, manifold, dump and vent conductances of the supply",
+    "end stops",
+    "ball and ground",
+)
+"""Parts of the plant that no step measures yet: they stay as configured."""
+
+NO_CALIBRATION = (
+    "The zeros of the encoders hold for the presets that these have now, which no file holds. A bench with "
+    "hardware arms only with calibrations in force (golfbench calibrate list), of which the encoders' stores "
+    "the presets that the running bench has read, for comparison at each start. For encoders and valves:"
+)
+"""Why robot.toml does not replace a calibration, for its reader."""
+
+_WIDTH = 108
+_MIN_UNCERTAINTY_DEG = 0.001
+"""Smallest standard uncertainty that is entered for a zero, deg."""
+_CLUB, _SUPPLY, _ENCODERS, _SPOOL = "robot.club", "supply.pressure", "encoders", ("centre", "dead_band")
+
+
+def robot_file(
+    known: RobotEstimate,
+    base: str,
+    made: datetime,
+    envelope: EnvelopeSettings | None = None,
+    following: Mapping[str, tuple[float, float, float]] | None = None,
+    profile: Path | None = None,
+    file: Path = Path("robot.toml"),
+) -> str:
+    """Return TOML of the robot in `known` over the configuration file `base`, commissioned at `made`.
+
+    The limits of the supply's pressure, of `envelope`, follow the supply that was found; `following` are
+    those of following errors, by phase. `profile` is the file of its swing, `file` that of the robot.
+    """
+    lines = [
+        f"# Commissioned on {made:%Y-%m-%d}: values with standard errors, and the steps that found them.",
+        "# Not measured, as configured: " + "; ".join(GUESSES) + ".",
+        f"base = {toml_value(base)}",
+        "",
+        "[bench]",
+        f"commissioned = {toml_value(made.isoformat(timespec='seconds'))}",
+    ]
+    if profile is not None:
+        lines += ["", "[swing]", f"profile = {toml_value(str(profile.resolve()))}"]
+    tables: dict[str, list[str]] = {}
+    for key, found in _keys(known.found.values()).items():
+        table, _, name = key.rpartition(".")
+        text = toml_value(value_at(known.plant, key))
+        errors = ", ".join(f"{one.error:.3g}" for one in found)
+        unit = f" {found[0].unit}" if found[0].unit else ""
+        note = f"± {errors}{unit}; {found[0].step}"
+        tables.setdefault(table, []).append(f"{name} = {text}  # {note}")
+    for table in sorted(tables):
+        location = f"clubs.{known.plant.robot.club.name}" if table == _CLUB else f"plant.{table}".rstrip(".")
+        lines += [""]
+        lines += _calibration(known, file) if table == _ENCODERS else []
+        lines += [f"[{location}]", *tables[table]]
+    if envelope is not None and _SUPPLY in known.found:
+        share = known.plant.supply.pressure / known.nominal.supply.pressure
+        low, high = share * envelope.min_supply_pressure, share * envelope.max_supply_pressure
+        lines += ["", "[envelope]"]
+        lines += [f"min_supply_pressure = {low:.0f}.0", f"max_supply_pressure = {high:.0f}.0"]
+    if following:
+        lines += ["", "[envelope.max_following_error]"]
+        lines += [f"{phase} = {toml_value(limits)}" for phase, limits in following.items()]
+    lines += ["", "[envelope.model]", 'check = "always"  # this robot was measured']
+    lines += ["", "[envelope.model.standard_errors]"]
+    lines += [
+        f'"{found.key}" = {toml_value(found.error)}' for found in known.found.values() if found.error > 0.0
+    ]
+    return with_digest("\n".join(lines) + "\n")
+
+
+def _calibration(known: RobotEstimate, file: Path) -> list[str]:
+    """Return comments with the commands that store zeros and valves in `file` as calibrations."""
+    encoders = known.plant.encoders
+    uncertainty = _max_error(known, f"{_ENCODERS}.zero_count") * 360.0 / encoders.counts_per_revolution
+    zeros, signs = (" ".join(map(str, values)) for values in (encoders.zero_count, encoders.sign))
+    command = f"# golfbench --config {quote(str(file.resolve()))} calibrate"
+    lines = [
+        *(f"# {line}" for line in wrap(NO_CALIBRATION, _WIDTH)),
+        f"{command} encoders --zero-counts {zeros} --sign {signs} "
+        f"--uncertainty-deg {max(uncertainty, _MIN_UNCERTAINTY_DEG):.2g}",
+    ]
+    if error := _max_error(known, *(f"{key}.valve.{name}" for key in ACTUATOR_KEYS for name in _SPOOL)):
+        valves = [actuator.valve for actuator in known.plant.actuators]
+        centre, band = (" ".join(f"{getattr(valve, name):.5f}" for valve in valves) for name in _SPOOL)
+        lines.append(f"{command} valves --centre {centre} --dead-band {band} --uncertainty {error:.2g}")
+    return lines
+
+
+def _max_error(known: RobotEstimate, *keys: str) -> float:
+    """Return the max standard error of the values found at or below `keys`, 0 if there are none."""
+    return max((one.error for key, one in known.found.items() if key.startswith(keys)), default=0.0)
+
+
+def _keys(found: Iterable[ParameterEstimate]) -> dict[str, list[ParameterEstimate]]:
+    """Return the values by their keys, elements of a list under the list's."""
+    keys: dict[str, list[ParameterEstimate]] = {}
+    for value in found:
+        name, _, last = value.key.rpartition(".")
+        keys.setdefault(name if last.isdigit() else value.key, []).append(value)
+    return keys
+
+
+def commissioning_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> str:
+    """Return the report of `state` as HTML; `nominal` is the robot as configured."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(
+        (files("bench.commissioning") / "commissioning.html.j2").read_text(encoding="utf-8")
+    )
+    known = RobotEstimate(nominal, state.values)
+    done = {step.name for step in state.done}
+    return template.render(
+        state=state,
+        made=made,
+        minutes=sum(step.seconds for step in state.done) / 60,
+        configured=lambda key: f"{value_at(known.nominal, key):.6g}",
+        left=[step.title for step in ALL_STEPS if step.name not in done],
+        guesses=GUESSES,
+        no_calibration=NO_CALIBRATION,
+        steps=len(ALL_STEPS),
+    )

@@ -209,9 +209,8 @@ def _write_robot(
         Refused: it was edited.
     """
     from bench.base.atomic_file import atomic_file
-    from bench.commissioning.commissioning import require_unedited
+    from bench.commissioning.commissioning import require_unedited, robot_file
     from bench.commissioning.machine.step import LEARNED_FILE
-    from bench.commissioning.robot_file import robot_file
 
     require_unedited(file)
     measured = max((step.date for step in state.done if step.values), default=None)
@@ -351,7 +350,7 @@ def _loads(machine: SimulatedMachine) -> str:
 def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
     """Write the report of the steps done so far."""
     from bench.base.atomic_file import atomic_file
-    from bench.commissioning.robot_file import commissioning_report
+    from bench.commissioning.commissioning import commissioning_report
 
     with atomic_file(state.folder / "report.html") as stream:
         stream.write(commissioning_report(state, nominal, datetime.now(UTC)).encode())

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from bench.commissioning.commissioning import robot_file
 from bench.commissioning.machine.step import ParameterEstimate, RobotEstimate
-from bench.commissioning.robot_file import robot_file
 from bench.config import Configuration
 from bench.control.measured_plant import value_at
 from sim.plant import PlantParameters

@@ -27,8 +27,10 @@ from bench.commissioning.commissioning import (
     begin,
     commission,
     commissioning_process,
+    commissioning_report,
     folder_lock,
     read_state,
+    robot_file,
 )
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, Segment
@@ -39,7 +41,6 @@ from bench.commissioning.machine.step import (
     StepResult,
     Traces,
 )
-from bench.commissioning.robot_file import commissioning_report, robot_file
 from bench.commissioning.steps.wiring import WIRING
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration, load_configuration, shipped_configuration
