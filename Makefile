@@ -78,7 +78,7 @@ benchmark: $(VENV)/.benchmark  ## speed of the model beside MuJoCo and Pinocchio
 
 faults: $(VENV)/.dev  ## the whole matrix of faults, signals and phases, and the hazard table made from it
 	@unsafe=0; $(BIN)/golfbench faults run --output data/faults $(ARGS) || unsafe=$$?; \
-	[ $$unsafe -le 1 ]; $(BIN)/golfbench faults table data/faults/matrix.json --brief --output sim/FAULTS.md; \
+	[ $$unsafe -le 1 ]; $(BIN)/golfbench faults table data/faults/matrix.json --output sim/FAULTS.md; \
 	$(BIN)/golfbench faults file data/faults/matrix.json --output sim/HAZARDS.md; exit $$unsafe
 
 mutation: $(VENV)/.dev  ## do the tests of envelope and lifecycle notice small mistakes put into them?

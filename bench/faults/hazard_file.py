@@ -51,22 +51,15 @@ def matrix_digest(summary: Mapping[str, Any]) -> str:
     return sha256(json.dumps(outcomes, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def hazard_table(summary: dict[str, Any], *, brief: bool = False) -> str:
-    """Return the table as Markdown, one row a fault, or if `brief` one row a sort of parts."""
-    rules: dict[str, list[str]] = {}
-    for row in summary["rows"]:
-        for rule in row["rules"]:
-            rules.setdefault(rule, []).append(row["breakage"])
+def hazard_table(summary: dict[str, Any]) -> str:
+    """Return the table as Markdown, one row a sort of parts."""
     return markdown(
         "hazards.md.j2",
         s=summary,
         every=summary["origin"].get("every", 1),
         digest=matrix_digest(summary),
         next_swing=next_swing_text(summary),
-        brief=brief,
         parts=_by_part(summary["rows"]),
-        rules=rules,
-        part_of=part_of,
     )
 
 

@@ -205,12 +205,11 @@ def matrix_page(summary: dict[str, Any]) -> str:
 def table(
     matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
-    brief: Annotated[bool, flag("--brief", "One row for all faults of a sort, as in sim/FAULTS.md.")] = False,
 ) -> None:
-    """Write the hazard table of a fault matrix, one row for each fault."""
+    """Write the hazard table of a fault matrix, one row for each part, as in sim/FAULTS.md."""
     from bench.faults.hazard_file import hazard_table
 
-    write_text(_from_matrix(matrix, lambda summary: hazard_table(summary, brief=brief)), output)
+    write_text(_from_matrix(matrix, hazard_table), output)
 
 
 @app.command("file")
