@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import nullcontext
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
@@ -36,6 +39,7 @@ from bench.commands.swing.profile_design import design
 
 if TYPE_CHECKING:
     from bench.design.stop_verification import TrialOutcome, TrialSummary
+    from bench.simulation.simulated_bench import SwingResult
     from bench.swing.profile import FollowedGolfer, Profile
     from sim.plant import PlantParameters
 
@@ -102,7 +106,6 @@ def simulate(
 
     Exits with 1 if the shot is invalid.
     """
-    from bench.design.swing_result import outcome_record, outcome_table
     from bench.records.shot.recorded_shot import FlightConditions
     from bench.records.telemetry.recorder import write_swing
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
@@ -123,14 +126,14 @@ def simulate(
     waiting = nullcontext() if json_ else console.status(f"swinging {swing.name}")
     with deferred_interrupt() as asked, waiting:
         result = simulate_swing(bench, stop=asked.is_made)
-        record = outcome_record(result, datetime.now(UTC))
+        record = _outcome_record(result, datetime.now(UTC))
         output.mkdir(parents=True, exist_ok=True)
         file = output / "swing.parquet"
         write_swing(file, result.cycles, bench.metadata(record | result.replay_metadata()))
     if json_:
         show_json(record | {"files": [str(file)]})
     else:
-        console.print(outcome_table(result, plant, record))
+        console.print(_outcome_table(result, plant, record))
         console.print(f"Record: {file}", highlight=False)
     exit_unless(not result.reason)
 
@@ -246,6 +249,69 @@ _BARS = " ▁▂▃▄▅▆▇█"
 _WIDTH = 64
 _UNITS = {"mps": "m/s", "deg": "°", "mm": "mm", "m": "m", "s": "s", "j": "J", "pa": "Pa"}
 _COLOURS = ("#1f5fa8", "#d1495b", "#2a9d5c")
+
+
+_YARD = 0.9144
+
+_FIGURES = (
+    ("club speed", "club_speed_mps", "{:.2f} m/s"),
+    ("attack angle", "attack_angle_deg", "{:+.2f}°"),
+    ("club path", "club_path_deg", "{:+.2f}°"),
+    ("face angle", "face_angle_deg", "{:+.2f}°"),
+    ("dynamic loft", "dynamic_loft_deg", "{:.2f}°"),
+    ("strike, heel-toe", "strike_x_mm", "{:+.1f} mm"),
+    ("strike, low-high", "strike_y_mm", "{:+.1f} mm"),
+    ("ball speed", "ball_speed_mps", "{:.2f} m/s"),
+    ("launch angle", "launch_angle_deg", "{:.2f}°"),
+    ("direction", "direction_deg", "{:+.2f}°"),
+    ("spin", "spin_rpm", "{:.0f} rpm"),
+    ("spin axis", "spin_axis_deg", "{:+.2f}°"),
+    ("carry", "carry_m", "{:.1f} m"),
+    ("total", "total_m", "{:.1f} m"),
+)
+"""Name, field of Shot, form."""
+
+
+def _outcome_record(result: SwingResult, time: datetime) -> dict[str, Any]:
+    """Return the swing's figures as JSON; units are in the names."""
+    from drivers.base import ACTUATORS, CHAMBERS
+
+    shot = asdict(result.shot(1, time_utc=time).shot)
+    shot["time_utc"] = time.isoformat(timespec="seconds")
+    return {
+        "shot": shot,
+        "cause": result.cause.name,
+        "contact_time_s": result.contact_time,
+        "peak_head_speed_mps": result.loads.peak_head_speed,
+        "lowest_clearance_m": result.loads.lowest_clearance,
+        "stop_energy_j": dict(zip(ACTUATORS, result.loads.stop_energy.max(axis=1).tolist(), strict=True)),
+        "peak_pressure_pa": dict(zip(CHAMBERS, result.loads.peak_pressure.tolist(), strict=True)),
+        "unsafe": result.unsafe,
+    }
+
+
+def _outcome_table(result: SwingResult, plant: PlantParameters, record: Mapping[str, Any]) -> Table:
+    """Return the swing's figures and loads as a table."""
+    from drivers.base import ACTUATORS
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_header=False, title_justify="left")
+    table.title = Text(result.reason or "a valid shot", "bold red" if result.reason else "bold green")
+    table.add_column(no_wrap=True)
+    table.add_column(no_wrap=True)
+    for name, field, form in _FIGURES:
+        if (value := record["shot"][field]) is not None:
+            yards = f"  ({value / _YARD:.1f} yd)" if field in ("carry_m", "total_m") else ""
+            table.add_row(name, form.format(value) + yards)
+    table.add_section()
+    for actuator, energy, name in zip(
+        plant.actuators, result.loads.stop_energy.max(axis=1), ACTUATORS, strict=True
+    ):
+        table.add_row(f"end stop, {name}", f"{energy:.1f} of {actuator.stop.rating:g} J")
+    table.add_row("highest pressure", f"{result.loads.peak_pressure.max() / 1e5:.2f} bar absolute")
+    table.add_row("sole over ground", f"at least {1e3 * result.loads.lowest_clearance:.1f} mm")
+    for danger in result.unsafe:
+        table.add_row("unsafe", Text(danger, "bold red"))
+    return table
 
 
 def listing(profiles: list[tuple[str, Profile]]) -> Table:
