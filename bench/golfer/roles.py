@@ -133,32 +133,7 @@ def find_roles(capture: Capture, map_path: Path | None = None) -> Roles:
         dropped += [name for name in names if name not in kept]
         columns = [capture.names.index(name) for name in kept]
         path[role], markers[role] = np.mean(capture.points[:, columns], axis=1), kept
-    if "pelvis" in chosen:
-        _split_pelvis(capture, chosen["pelvis"], sides, path, markers)
     return Roles(path, markers, tuple(dict.fromkeys(dropped)), by_side)
-
-
-def _split_pelvis(
-    capture: Capture,
-    names: tuple[str, ...],
-    sides: tuple[str, str],
-    path: dict[str, Array],
-    markers: dict[str, tuple[str, ...]],
-) -> None:
-    """Replace the role `pelvis` by its two sides; a single marker has no line."""
-    del path["pelvis"], markers["pelvis"]
-    if len(names) < 2:
-        return
-    halves = names[: len(names) // 2], names[len(names) // 2 :]
-    one, other = (
-        np.mean(capture.points[:, [capture.names.index(n) for n in half]], axis=1) for half in halves
-    )
-    shoulders = path[f"{sides[0]}_shoulder"] - path[f"{sides[1]}_shoulder"]
-    is_first = float(np.nansum((one - other) * shoulders)) >= 0.0
-    for side, position, half in zip(
-        sides, (one, other) if is_first else (other, one), halves if is_first else halves[::-1], strict=True
-    ):
-        path[f"{side}_hip"], markers[f"{side}_hip"] = position, half
 
 
 def _kept(capture: Capture, names: Sequence[str]) -> tuple[str, ...]:
@@ -211,11 +186,11 @@ def _read_map(capture: Capture, path: Path) -> dict[str, tuple[str, ...]]:
     known = [f"{side}_{part}" for side in ("lead", "trail", "left", "right") for part in SIDED] + list(CLUB)
     found: dict[str, tuple[str, ...]] = {}
     for role, value in raw.items():
-        if role not in (*known, "pelvis"):
+        if role not in known:
             raise BenchError(
                 f"{path}, {role}",
                 "no such role",
-                f"one of {', '.join(known)}, pelvis",
+                f"one of {', '.join(known)}",
                 did_you_mean(role, known, "Correct the role."),
             )
         names = [value] if isinstance(value, str) else value
