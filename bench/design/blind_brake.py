@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.design.closed_loop import Rehearsal
-from bench.design.shooting import without_history
-from bench.simulation.safety import stop_shares
 from bench.design.refine import without_history
+from bench.simulation.safety import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench
 from drivers.base.compiled import compiled
 from sim.plant import Plant, advance, build_plant

@@ -36,7 +36,7 @@ from bench.control.law.gain_table import DAMPING, DERIVATIVE, PROPORTIONAL, gain
 from bench.control.moves.braking import brake_opening
 from bench.control.settings import ControlSettings
 from bench.design.closed_loop import LoopFailed, Rehearsal
-from bench.simulation.loads import reset_peaks
+from bench.simulation.safety import reset_peaks
 from bench.simulation.simulated_bench import SimulatedBench
 from bench.swing.profile import Profile
 from drivers.base import PASSIVE

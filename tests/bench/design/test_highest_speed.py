@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from bench.simulation.local_engine import InProcess
 
 from bench.config import load_configuration
 from bench.design import highest_speed as module
