@@ -72,21 +72,15 @@ class ExperimentDesign:
     """Levels, blocks and order of the shots."""
 
     compare: Factor
-    """Its levels take turns within a block; the other two factors make sections, one after the other."""
     balls: tuple[str, ...]
     clubs: tuple[str, ...]
     swings: tuple[str, ...]
     blocks: Annotated[int, Range(1, 100000, "")]
-    """Complete blocks in each section."""
     hits_per_mounting: Annotated[int, Range(0, 1000, "")]
-    """Hits of each ball before the next club is mounted (split-plot); 0: clubs in any order."""
     seed: Annotated[int, Range(0, 2**31 - 1, "")]
-    """Seed of the shot order."""
     seconds_per_shot: Annotated[float, Range(1.0, 3600.0, "s")]
     repeats: Annotated[int, Range(0, 20, "")]
-    """Max number of repeats of a shot that was not valid."""
     failures_in_a_row: Annotated[int, Range(1, 100, "")]
-    """Number of consecutive shots not valid after which the campaign is suspended."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +88,6 @@ class Control:
     """The control ball, which separates drift from differences."""
 
     ball: str
-    """Hit at start, middle and end of each block; empty: none."""
 
 
 @dataclass(frozen=True)
@@ -102,13 +95,9 @@ class WarmUp:
     """Swings before each section, until the club speed is stable."""
 
     window: Annotated[int, Range(2, 50, "")]
-    """Number of last shots that are checked."""
     tolerance: Annotated[float, Range(0.0, 50.0, "m/s")]
-    """Max range of their club speeds, m/s."""
     at_most: Annotated[int, Range(0, 200, "")]
-    """Shots after which the campaign is refused; 0: no warm-up."""
     practice: bool
-    """A swing without a ball after each arming of a bench that stays armed between shots."""
 
 
 @dataclass(frozen=True)
@@ -116,17 +105,13 @@ class BallHandling:
     """Physical balls of each model, and how they are kept."""
 
     samples: Annotated[int, Range(1, 1000, "")]
-    """Number of balls of each model, numbered from `first_sample`, used in turn."""
     first_sample: Annotated[int, Range(1, 100000, "")]
     hits: Annotated[int, Range(1, 10000, "")]
-    """Max hits of a ball in all campaigns of this bench together."""
     temperature: Annotated[float, Range(250.0, 330.0, "K")]
     temperature_tolerance: Annotated[float, Range(0.0, 20.0, "K")]
     conditioning_time: Annotated[float, Range(0.0, 1e6, "s")]
     identify: bool
-    """The feeder's reading of a ball's number must be the expected one."""
     magazine: Annotated[int, Range(0, 1000, "")]
-    """Balls per filling of the feeder by a person, in the listed order; 0: the feeder finds each."""
 
 
 @dataclass(frozen=True)
@@ -134,9 +119,7 @@ class Learning:
     """Corrections of the swings, see `golfbench learn`."""
 
     refresh: bool
-    """Relearn a swing between blocks if its delivery has drifted."""
     swings: Annotated[int, Range(1, 100, "")]
-    """Max number of swings for relearning."""
 
 
 @dataclass(frozen=True)
@@ -144,9 +127,7 @@ class SupplyRequirement:
     """The air that a running bench must have before each swing."""
 
     min_pressure_ratio: Annotated[float, Range(0.0, 1.5, "")]
-    """Share of the pressure that the swing was designed for; 0: not checked."""
     timeout: Annotated[float, Range(0.0, 86400.0, "s")]
-    """Held at its address until the pressure is back; then the robot is vented and a person is needed."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +135,6 @@ class AirSettings:
     """The air at a running bench; a simulated one has the configured air."""
 
     valid_for: Annotated[float, Range(0.0, 1e6, "s")]
-    """Validity of a reading (`golfbench campaign air`), s; shots without one have no air."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +142,6 @@ class HandWork:
     """Time that work by hand takes, for the expected duration."""
 
     club_change: Annotated[float, Range(0.0, 36000.0, "s")]
-    """Time from the prompt until the guard is locked again."""
     feeder_fill: Annotated[float, Range(0.0, 36000.0, "s")]
 
 
@@ -171,7 +150,6 @@ class InterruptionSettings:
     """Reaction to a time without shots."""
 
     restart_after: Annotated[float, Range(0.0, 1e6, "s")]
-    """Time without a shot, s, after which the robot is warmed up again and its block restarted; 0: never."""
 
 
 @dataclass(frozen=True)
@@ -179,15 +157,12 @@ class Gate:
     """Tolerances (half widths) of the delivery; 0: not checked. Never the ball's result."""
 
     reference: Literal["warm-up", "planned"]
-    """Centre: the median of the warm-up's last shots, or the designed delivery."""
     club_speed: Annotated[float, Range(0.0, 50.0, "m/s")]
     attack_angle: Annotated[float, Range(0.0, pi / 4, "rad")]
     shaft_lean: Annotated[float, Range(0.0, pi / 4, "rad")]
-    """Tolerance of the dynamic loft, which follows the shaft lean."""
     strike_x: Annotated[float, Range(0.0, 0.05, "m")]
     strike_y: Annotated[float, Range(0.0, 0.05, "m")]
     sources: tuple[str, ...]
-    """Sources whose delivery counts."""
 
 
 @dataclass(frozen=True)
@@ -195,12 +170,9 @@ class Stop:
     """When a section has enough shots before all its blocks are done."""
 
     rule: Literal["fixed", "width", "equivalence"]
-    """All blocks; or every interval of a difference narrow enough; or every pair shown to be the same."""
     width: Annotated[float, Range(0.0, 1e6, "")]
-    """Max half width of a difference's interval, in the unit of the compared quantity."""
     min_blocks: Annotated[int, Range(2, 100000, "")]
     interim_analyses: Annotated[int, Range(1, 50, "")]
-    """Number of looks at the data, evenly from min_blocks to blocks, the end included."""
 
 
 @dataclass(frozen=True)
@@ -209,28 +181,17 @@ class Analysis:
 
     quantity: Quantity
     carry: Literal["", "reference", "monitor", "measured"]
-    """Which carry `carry_m` is, see `bench.campaign.plan.carry`; empty: the simulated ball's, none on
-    hardware."""
     expected_sd: Annotated[float, Range(0.0, 1e6, "")]
-    """Expected standard deviation of one shot, unit of the quantity; 0: unknown, no power is predicted."""
     ball_sd: Annotated[float, Range(0.0, 1e6, "")]
-    """Expected standard deviation between balls of one model, in the same unit; 0: one ball is as another."""
     mounting_sd: Annotated[float, Range(0.0, 1e6, "")]
-    """Expected standard deviation between mountings of one club, in the same unit."""
     covariates: tuple[Delivered, ...]
-    """Figures of the delivery by which a ball's result is corrected, fixed before the first shot."""
     expected_r_squared: Annotated[float, Range(0.0, 0.9999, "")]
-    """Expected share of `sd` squared that the covariates explain."""
     target_difference: Annotated[float, Range(1e-9, 1e6, "")]
-    """Difference worth finding."""
     equivalence_margin: Annotated[float, Range(0.0, 1e6, "")]
-    """Differences below it count as the same (TOST); 0: not asked."""
     confidence: Annotated[float, Range(0.5, 0.9999, "")]
     power: Annotated[float, Range(0.5, 0.9999, "")]
     drift: Literal["linear", "none"]
-    """Whether the control ball removes drift within blocks; the report also has the other analysis."""
     reference: str
-    """Level that the report compares the others with; empty: the first one."""
 
 
 @dataclass(frozen=True)
@@ -238,13 +199,9 @@ class SetUp:
     """The machine is set by the control ball's speed; the club's is a reference only (2025 practice)."""
 
     control_ball_speed: Annotated[float, Range(0.0, 120.0, "m/s")]
-    """0: not checked."""
     tolerance: Annotated[float, Range(0.0, 20.0, "m/s")]
     control_restitution: Annotated[float, Range(0.0, 1.0, "")]
-    """Restitution of the control ball at 143.8 ft/s; 0: unknown. With the contact time it sets a rule's ball
-    speed."""
     control_contact_time: Annotated[float, Range(0.0, 0.002, "s")]
-    """Contact time of the control ball at 143.8 ft/s."""
 
 
 @dataclass(frozen=True)
@@ -252,9 +209,7 @@ class Rules:
     """Dated rules for the figures."""
 
     apply: tuple[str, ...]
-    """Names of rule sets, or of families of which the date chooses, see `bench/campaign/plan/rules.toml`."""
     uncertainty: dict[str, Annotated[float, Range(0.0, 1e3, "")]] = field(default_factory=dict)
-    """Quantity -> standard uncertainty of its measurement besides the scatter, SI; rules need it."""
 
 
 @dataclass(frozen=True)
@@ -264,17 +219,12 @@ class ReportParticulars:
     laboratory: str
     address: str
     location: str
-    """Place of the tests if it is not the laboratory's address."""
     customer: str
     customer_contact: str
     operator: str
-    """Who does the tests; empty: who starts the runs."""
     method: str
-    """Identification of the method besides this plan."""
     sampling: str
-    """How and by whom the items were taken from what they stand for."""
     deviations: tuple[str, ...]
-    """Additions to, deviations and exclusions from the method that no event of the campaign shows."""
 
 
 @dataclass(frozen=True)
@@ -282,10 +232,8 @@ class ItemParticulars:
     """A tested item, a ball model or a club, as received."""
 
     identity: str = field(default="", metadata={"optional": True})
-    """Maker, model, lot, marking."""
     condition: str = field(default="", metadata={"optional": True})
     received: str = field(default="", metadata={"optional": True})
-    """Date of receipt, YYYY-MM-DD."""
 
 
 @dataclass(frozen=True)
@@ -294,19 +242,13 @@ class StatedCalibration:
 
     instrument: str
     identity: str = field(default="", metadata={"optional": True})
-    """Type and serial number."""
     source: str = field(default="", metadata={"optional": True})
-    """Laboratory and certificate."""
     date: str = field(default="", metadata={"optional": True})
-    """YYYY-MM-DD."""
     due: str = field(default="", metadata={"optional": True})
-    """Date of the next one, YYYY-MM-DD."""
     uncertainty: dict[str, Annotated[float, Range(0.0, 1e6, "")]] = field(
         default_factory=dict, metadata={"optional": True}
     )
-    """Quantity -> standard uncertainty, one of `STATED`; SI, angles in degrees."""
     dof: Annotated[float, Range(0.0, 1e6, "")] = field(default=0.0, metadata={"optional": True})
-    """Its degrees of freedom; 0: infinite."""
 
     @property
     def text(self) -> str:
@@ -331,7 +273,6 @@ class Simulation:
     direction: Annotated[float, Range(0.0, 0.2, "rad")]
     spin_rpm: Annotated[float, Range(0.0, 5000.0, "1/min")]
     carry: Annotated[float, Range(0.0, 50.0, "m")]
-    """Scatter of the launch monitor's carry about the flight of the true launch."""
     drift: Annotated[float, Range(-0.1, 0.1, "")]
     wear: Annotated[float, Range(0.0, 10.0, "")]
     launch_missing: Annotated[float, Range(0.0, 1.0, "")]
