@@ -118,20 +118,10 @@ def stored(
 
 def keep(database: Engine, entry: Learned) -> int:
     """Add `entry` as the next version of its bench and profile, and return that number."""
-    c = entry.conditions
-    values = {
-        "bench": entry.bench,
-        "profile": entry.profile,
-        "date": entry.date,
-        "simulated": entry.simulated,
-        "source": entry.source,
-        "digest": c.digest,
-        "club": c.club,
-        "supply_pressure": c.supply_pressure,
-        "temperature": c.temperature,
-        "within": entry.within,
-        "content": {"weights": list(entry.weights), **entry.content},
-    }
+    values = asdict(entry)
+    del values["version"]
+    content = {"weights": list(values.pop("weights")), **values.pop("content")}
+    values |= values.pop("conditions") | {"content": content}
     with transaction(database, writes=True) as connection:
         return add_version(connection, LEARNED_SWINGS, "profile", values)
 

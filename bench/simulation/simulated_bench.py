@@ -21,7 +21,14 @@ from bench.control.settings import (
 from bench.loop.loop import Cycles
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.shot.recorded_shot import FlightConditions
-from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
+from bench.records.shot.shot import (
+    Shot,
+    ShotRecord,
+    ShotStatus,
+    delivery_columns,
+    flight_columns,
+    launch_columns,
+)
 from bench.records.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry, versions
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import Loads, RunEnd, SafetyLimits, unsafe_reasons
@@ -85,19 +92,10 @@ class SwingResult:
 
     def shot(self, shot: int, *, block: int = 1, position: int = 1, time_utc: datetime) -> ShotRecord:
         """Return the swing as shot number `shot` of a series, with its record."""
-        row = Shot.from_measurements(
-            shot=shot,
-            block=block,
-            position=position,
-            club=self.club,
-            ball=self.ball.name if self.ball else "",
-            time_utc=time_utc,
-            delivery=self.delivery,
-            launch=self.launch,
-            flight=self.flight,
-            status=self.status,
-            reason=self.reason,
-        )
+        ball, place = self.ball.name if self.ball else "", (shot, block, position)
+        columns = launch_columns(self.launch, "simulated") | flight_columns(self.flight, "simulated")
+        columns |= delivery_columns(self.delivery) | {"time_utc": time_utc}
+        row = Shot(*place, self.club, ball, self.status, self.reason, **columns)
         return ShotRecord(row, self.cycles, self.flight)
 
 

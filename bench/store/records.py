@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from bench.base.errors import Refused
 
 if TYPE_CHECKING:
     from sim.ball import Air
@@ -129,6 +131,24 @@ class ShotExclusion(NamedTuple):
     """Number of the campaign's last shot then."""
 
 
+class PromptKind(StrEnum):
+    """Kind of a prompt."""
+
+    CLUB = "club"
+    BALLS = "balls"
+    BENCH = "bench"
+    """Restart of the bench, never automatic in simulation."""
+
+
+Numbered = tuple[str, int]
+"""A ball: its model and the number on it."""
+
+
+def places(balls: Sequence[Numbered]) -> list[str]:
+    """Return the places of the magazine with their balls, in the order of hitting."""
+    return [f"{location}. {name} {number}" for location, (name, number) in enumerate(balls, 1)]
+
+
 class Prompt(NamedTuple):
     """A prompt to the operator before a shot."""
 
@@ -143,6 +163,28 @@ class Prompt(NamedTuple):
     answered: datetime | None = None
     by: str = ""
     """Who answered."""
+
+    @property
+    def balls(self) -> list[Numbered]:
+        """Load list; empty if it asks for something else."""
+        return [(str(name), int(number)) for name, number in self.content.get("balls", ())]
+
+    def require_count(self, count: int) -> None:
+        """Refuse a number of loaded balls that is not that of the load list.
+
+        Raises:
+            Refused: too few or too many, or it asks for no balls.
+        """
+        balls, location, found = self.balls, f"before shot {self.before_shot}", f"{count} balls loaded"
+        if not balls:
+            expected = f"no number, as the prompt reads: {self.text}"
+            raise Refused(location, found, expected, "Answer without a number of balls.")
+        action = "Empty the feeder and load it by the list; then answer again."
+        if count < len(balls):
+            first = places(balls)[count]
+            action = f"Load the rest from {first} on, if the others are by the list; then answer again."
+        if count != len(balls):
+            raise Refused(location, found, f"{len(balls)}, as listed", action)
 
 
 class CalibrationRow(NamedTuple):

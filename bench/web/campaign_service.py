@@ -17,7 +17,6 @@ from typing import Any
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import plan_from_record
-from bench.campaign.plan.prompts import balls_of, places
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.campaign_record import with_exclusions
 from bench.campaign.run.campaign_control import answer, ask, is_running, standing_now
@@ -27,7 +26,7 @@ from bench.config import Configuration, database_url
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
-from bench.store.records import ENDED, MAX_COMMENT_LENGTH, CampaignState, Prompt, ShotNote
+from bench.store.records import ENDED, MAX_COMMENT_LENGTH, CampaignState, Prompt, ShotNote, places
 from bench.web.answers import MAX_RECORDS, REPORT, Asked, Download, Downloads, InvalidBody, UnknownName
 from bench.web.command_line import BackgroundCommand, CommandLine
 from bench.web.last_swing import swing_view
@@ -131,7 +130,7 @@ def _prompt(prompts: list[Prompt]) -> dict[str, Any] | None:
     if (prompt := _open_prompt(prompts)) is None:
         return None
     fields = ("number", "text")
-    return {name: getattr(prompt, name) for name in fields} | {"places": places(balls_of(prompt))}
+    return {name: getattr(prompt, name) for name in fields} | {"places": places(prompt.balls)}
 
 
 def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:

@@ -14,7 +14,14 @@ from scipy.interpolate import CubicHermiteSpline
 
 from bench.base.lifecycle import Cause, Phase, State
 from bench.control.settings import EnvelopeSettings
-from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
+from bench.records.shot.shot import (
+    Shot,
+    ShotRecord,
+    ShotStatus,
+    delivery_columns,
+    flight_columns,
+    launch_columns,
+)
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS
 from bench.swing.profile import Profile
 from drivers.base import Launch
@@ -142,10 +149,11 @@ def _record(number: int, cycles: Cycles) -> ShotRecord:
         strike_y=random.normal(-0.002, 0.0005),
         source="encoders+model",
     )
-    off_plan: dict[str, Any] = (
-        {"status": ShotStatus.EXCLUDED, "reason": "club speed 0.6 m/s off the plan"} if number == 7 else {}
-    )
-    shot = Shot.from_measurements(**base, delivery=delivery, launch=launch, flight=flight, **off_plan)
+    base |= {"status": ShotStatus.VALID}
+    if number == 7:
+        base |= {"status": ShotStatus.EXCLUDED, "reason": "club speed 0.6 m/s off the plan"}
+    simulated = launch_columns(launch, "simulated") | flight_columns(flight, "simulated")
+    shot = Shot(**base, **delivery_columns(delivery), **simulated)
     return ShotRecord(shot, cycles, flight)
 
 

@@ -8,13 +8,13 @@ ball also has the flight of its model, "simulated"; a report of hardware never s
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import degrees
 from typing import Any
 
 from bench.base.errors import Refused
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, aerodynamics_from_record
 from bench.campaign.plan.plan import FLOWN, CampaignPlan
 from bench.records.shot.recorded_shot import FlightConditions
+from bench.records.shot.shot import flight_columns
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Ball
 from sim.flight import Flight, fly
@@ -94,13 +94,7 @@ def carry_columns(
     if carry is not None:
         columns |= {"carry_m": carry, "carry_source": source}
     if flight is not None:
-        columns |= {
-            "total_m": flight.total,
-            "apex_m": flight.apex,
-            "landing_angle_deg": degrees(flight.landing_angle),
-            "carry_side_m": flight.carry_side,
-            "flight_source": flight_source,
-        }
+        columns |= flight_columns(flight) | {"flight_source": flight_source}
     if carry is None and plan.analysis.quantity in FLOWN:
         return columns, outside or f"no carry: {_NONE[source]}"
     return columns, ""

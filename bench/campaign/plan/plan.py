@@ -110,7 +110,6 @@ class BallHandling:
     temperature: Annotated[float, Range(250.0, 330.0, "K")]
     temperature_tolerance: Annotated[float, Range(0.0, 20.0, "K")]
     conditioning_time: Annotated[float, Range(0.0, 1e6, "s")]
-    identify: bool
     magazine: Annotated[int, Range(0, 1000, "")]
 
 
@@ -281,7 +280,6 @@ class Simulation:
     missing_launch: tuple[int, ...]
     missed_ball: tuple[int, ...]
     feeder_jam: tuple[int, ...]
-    wrong_ball: tuple[int, ...]
     guard_opened: tuple[int, ...]
 
 

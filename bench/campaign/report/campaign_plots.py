@@ -14,13 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bench.campaign.plan.plan import NAMES, CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role
-from bench.campaign.report.findings import (
-    DifferenceTable,
-    Findings,
-    SectionViews,
-    difference_tables,
-    section_labels,
-)
+from bench.campaign.report.findings import DifferenceTable, Findings, SectionFindings
 from bench.campaign.report.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.statistics.analysis import SectionAnalysis, values_of
 from bench.campaign.statistics.block_model import Array
@@ -46,10 +40,9 @@ class Picture(NamedTuple):
 class Landing(NamedTuple):
     """Landing points of a section."""
 
-    name: str
+    section: SectionFindings
     levels: Sequence[tuple[str, Array, Array]]
     """(level, valid points, other points), each (n, 2) offline and carry, m."""
-    views: SectionViews
 
 
 def campaign_figures(
@@ -59,15 +52,14 @@ def campaign_figures(
 
     The overview shows the differences from three levels on, else the landing points; None without any.
     """
-    tables = difference_tables(plan, found.sections)
-    forest = next((table for table in tables if len(table.columns[0].compared) > 2), None)
+    forest = next((table for table in found.differences if len(table.columns[0].compared) > 2), None)
     with mpl.rc_context(STYLE):
         drawn, landings = [], []
-        every = zip(section_labels(plan), found.sections, found.views, strict=True)
-        for name, analysis, views in every:
-            mine = [shot for shot in shots if shot.section == analysis.number and shot.role != Role.WARM_UP]
-            landings.append(Landing(name, _landing_points(plan, mine), views))
-            drawn.append(_section_pictures(plan, mine, analysis, landings[-1], units))
+        for section in found.sections:
+            number = section.analysis.number
+            mine = [shot for shot in shots if shot.section == number and shot.role != Role.WARM_UP]
+            landings.append(Landing(section, _landing_points(plan, mine)))
+            drawn.append(_section_pictures(plan, mine, landings[-1], units))
         overview = None
         if forest is not None:
             overview = _forest(plan, forest, units)
@@ -94,19 +86,20 @@ def _panels(height: float, count: int, width: int, *, shared: bool = False) -> t
 
 
 def _section_pictures(
-    plan: CampaignPlan, mine: Sequence[Shot], analysis: SectionAnalysis, landing: Landing, units: UnitSystem
+    plan: CampaignPlan, mine: Sequence[Shot], landing: Landing, units: UnitSystem
 ) -> dict[str, Any]:
-    name, views = f"s{analysis.number}", landing.views
+    analysis, charts = landing.section.analysis, landing.section.control_charts
+    name = f"s{analysis.number}"
     results = [
         _levels(plan, mine, analysis, units, f"{name}l"),
         _dispersion(plan, [landing], mine, units, f"{name}d"),
     ]
     if len(landing.levels) > _FEW:
-        results.append(_each(landing.levels, views, units, f"{name}e"))
+        results.append(_each(landing, units, f"{name}e"))
     return {
         "results": results,
         "drift": _drift(plan, mine, analysis, units, f"{name}t"),
-        "control": _control(views, units, f"{name}c") if views.control_charts else None,
+        "control": _control(charts, units, f"{name}c") if charts else None,
     }
 
 
@@ -183,7 +176,7 @@ def _dispersion(
         if any(len(others) for one in landings for _, _, others in one.levels)
         else "",
         "Ellipse: holds 95 % of a normal scatter with the mean and covariance seen."
-        if any(one.views.dispersion for one in landings)
+        if any(one.section.dispersion for one in landings)
         else "",
     )
 
@@ -211,7 +204,7 @@ def _draw_pairs(
 
 
 def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: bool) -> None:
-    ellipses = {ellipse.name: ellipse for ellipse in landing.views.dispersion}
+    ellipses = {ellipse.name: ellipse for ellipse in landing.section.dispersion}
     extent: list[Array] = []
     for index, (name, points, others) in enumerate(landing.levels):
         style = _look(index, many)
@@ -223,7 +216,7 @@ def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: boo
         if name in ellipses:
             extent.append(_draw_ellipse(axes, ellipses[name], style["color"], distance.size))
     _from_above(axes, np.concatenate(extent) / distance.size)
-    title = landing.name or "Landing points from above"
+    title = landing.section.label or "Landing points from above"
     axes.set(title=title, xlabel=f"left  ←  offline, {distance.unit}  →  right")
     axes.set_ylabel(f"carry, {distance.unit}")
 
@@ -278,16 +271,15 @@ def _from_above(axes: Axes, points: Array) -> None:
         axes.set_aspect("equal")
 
 
-def _each(
-    flown: Sequence[tuple[str, Array, Array]], views: SectionViews, units: UnitSystem, picture: str
-) -> Picture:
+def _each(landing: Landing, units: UnitSystem, picture: str) -> Picture:
     """A panel for each level: its landing points and ellipse before those of all others."""
+    flown, dispersion = landing.levels, landing.section.dispersion
     distance = display_unit("carry_m", units)
     rows = -(-len(flown) // _COLUMNS)
     figure, panels = _panels(0.35 + 1.55 * rows, len(flown), _COLUMNS, shared=True)
-    ellipses = {ellipse.name: ellipse for ellipse in views.dispersion}
+    ellipses = {ellipse.name: ellipse for ellipse in dispersion}
     every = np.concatenate([points for _, points, _ in flown]) / distance.size
-    corners = [_corners(ellipse) / distance.size for ellipse in views.dispersion]
+    corners = [_corners(ellipse) / distance.size for ellipse in dispersion]
     for index, (axes, (name, points, _)) in enumerate(zip(panels, flown, strict=True)):
         style = _look(index, len(every) > _MANY) | {"markersize": 3.0}
         axes.plot(*every.T, ".", color="#d1d5db", markersize=1.5, rasterized=True)
@@ -436,9 +428,8 @@ def _points(
     axes.plot([s.shot for s in shots], [unit.of(getattr(s, column)) for s in shots], **look)
 
 
-def _control(views: SectionViews, units: UnitSystem, picture: str) -> Picture:
+def _control(charts: Sequence[ControlChart], units: UnitSystem, picture: str) -> Picture:
     """The control charts: values in order with one, two and three standard deviations, signals marked."""
-    charts = views.control_charts
     figure = styled(1.5 * len(charts) + 0.2)
     grid: np.ndarray[Any, Any] = figure.subplots(len(charts), 1, sharex=True, squeeze=False)
     for axes, chart in zip(grid.ravel(), charts, strict=True):

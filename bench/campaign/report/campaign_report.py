@@ -16,7 +16,6 @@ from bench.base.atomic_file import atomic_file
 from bench.campaign.interruptions import software_versions
 from bench.campaign.plan.carry import measured_of
 from bench.campaign.plan.plan import NAMES, levels
-from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.report.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.report.campaign_plots import campaign_figures
 from bench.campaign.report.campaign_record import (
@@ -33,13 +32,11 @@ from bench.campaign.report.findings import (
     QUANTITIES,
     Findings,
     RankedLevel,
-    SectionViews,
+    SectionFindings,
     as_flown,
-    difference_tables,
     findings,
     findings_record,
     not_compared,
-    section_labels,
 )
 from bench.campaign.report.report_format import (
     BALL,
@@ -66,11 +63,20 @@ from bench.campaign.report.report_tables import (
     used_configuration,
 )
 from bench.campaign.report.verdicts import confidence_words, quantity_name
-from bench.campaign.statistics.analysis import Level, SectionAnalysis
+from bench.campaign.statistics.analysis import Level
 from bench.campaign.statistics.control_chart import MIN_VALUES, NELSON
 from bench.records.shot.plot_style import marker_svg, to_svg
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
+from bench.store.records import (
+    CampaignEntry,
+    CampaignState,
+    Hit,
+    Prompt,
+    PromptKind,
+    ShotExclusion,
+    ShotNote,
+    Standing,
+)
 
 _ALL_ROWS = 1000
 """Max number of shots with a row each; above it only those not valid or flagged have one."""
@@ -120,7 +126,7 @@ def render_campaign_report(
     plan, entry, shots = record.plan, record.entry, record.shots
     template = page_template(_filters(display_unit(plan.analysis.quantity, units), units))
     times = [shot.time_utc for shot in shots]
-    tables, compared = difference_tables(plan, found.sections), quantity_name(as_flown(plan, shots))
+    compared = quantity_name(as_flown(plan, shots))
     return template.render(
         **_signed_part(record, found, units),
         **_lists(record, found, units),
@@ -138,11 +144,9 @@ def render_campaign_report(
         quantities=QUANTITIES,
         names=NAMES,
         places={name: place for place, name in enumerate(levels(plan))},
-        ranked=[_ranked(*each) for each in zip(found.sections, found.views, strict=True)],
-        labels=section_labels(plan),
-        tables=tables,
-        open_questions=list(not_compared(plan, tables, compared)),
-        alone=sum(map(len, found.verdicts)) == 1,
+        ranked=_ranked,
+        open_questions=list(not_compared(plan, found.differences, compared)),
+        alone=sum(len(section.verdicts) for section in found.sections) == 1,
         units=units,
         column_unit=lambda column: display_unit(column, units).unit,
         nelson=NELSON,
@@ -274,7 +278,7 @@ def _listed(record: CampaignRecord, found: Findings) -> list[Shot]:
     """Return all shots of a short campaign, or the invalid, outlying and noted ones of a long one."""
     if len(record.shots) <= _ALL_ROWS:
         return list(record.shots)
-    flagged = {shot for section in found.sections for shot, _ in section.outliers}
+    flagged = {shot for section in found.sections for shot, _ in section.analysis.outliers}
     flagged |= {note.shot for note in record.notes}
     return [s for s in record.shots if s.status is not ShotStatus.VALID or s.shot in flagged]
 
@@ -305,8 +309,8 @@ def _counted(record: CampaignRecord, found: Findings, units: UnitSystem) -> list
     taken = findings(record.plan, record.shots_as_taken, found.looks, units)
     pairs = [
         (one, two)
-        for mine, other in zip(found.verdicts, taken.verdicts, strict=True)
-        for one, two in zip(mine, other, strict=True)
+        for mine, other in zip(found.sections, taken.sections, strict=True)
+        for one, two in zip(mine.verdicts, other.verdicts, strict=True)
     ]
     return [two.headline for one, two in pairs if one.headline != two.headline]
 
@@ -319,9 +323,9 @@ def _one_day(record: CampaignRecord) -> bool:
     return len(days) == 1
 
 
-def _ranked(section: SectionAnalysis, views: SectionViews) -> list[tuple[Level, RankedLevel | None]]:
+def _ranked(found: SectionFindings) -> list[tuple[Level, RankedLevel | None]]:
     """Return the levels in the order of their ranking, then those without one, then the control ball."""
-    ranks = {one.name: one for one in views.ranking}
+    ranks, section = {one.name: one for one in found.ranking}, found.analysis
     order = sorted(section.levels, key=lambda level: ranks[level.name].rank if level.name in ranks else inf)
     control = [(section.control, None)] if section.control else []
     return [*((level, ranks.get(level.name)) for level in order), *control]
@@ -418,7 +422,7 @@ def _standing_words(standing: Standing) -> str:
 
 def _reasons(found: Findings) -> list[tuple[str, int]]:
     total: Counter[str] = Counter()
-    for section in found.sections:
+    for section in (one.analysis for one in found.sections):
         for level in (*section.levels, *((section.control,) if section.control else ())):
             total.update(level.reasons)
     return total.most_common()

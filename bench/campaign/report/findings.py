@@ -22,7 +22,7 @@ from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, reference_leve
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import RuleFinding, judge_rules
 from bench.campaign.report.report_format import UnitSystem
-from bench.campaign.report.verdicts import Verdict, section_notes, section_verdicts
+from bench.campaign.report.verdicts import Needed, Verdict, section_notes, section_verdicts
 from bench.campaign.statistics.analysis import (
     Comparison,
     Level,
@@ -44,7 +44,7 @@ from bench.campaign.statistics.control_chart import (
     control_charts,
     dispersion_ellipses,
 )
-from bench.campaign.statistics.sample_size import SeriesSize, series_needed
+from bench.campaign.statistics.sample_size import series_needed
 from bench.records.shot.shot import Shot, ShotStatus
 
 QUANTITIES = (
@@ -277,9 +277,16 @@ SCHEMA = 5
 
 
 @dataclass(frozen=True)
-class SectionViews:
-    """Further views of one section's shots."""
+class SectionFindings:
+    """Results of one section."""
 
+    label: str
+    """Club, ball or swing that other sections have otherwise; empty in the only one."""
+    analysis: SectionAnalysis
+    verdicts: tuple[Verdict, ...]
+    needed: Needed
+    notes: tuple[str, ...]
+    """Sentences: interim looks, covariates, and the benefit of more shots."""
     quantities: tuple[LevelQuantities, ...]
     """All quantities by level."""
     ranking: tuple[RankedLevel, ...]
@@ -293,15 +300,8 @@ class Findings:
 
     shots: int
     by_status: Mapping[str, int]
-    sections: tuple[SectionAnalysis, ...]
-    views: tuple[SectionViews, ...]
-    """One for each section."""
-    verdicts: tuple[tuple[Verdict, ...], ...]
-    """Verdicts of each section."""
-    needed: tuple[tuple[SeriesSize | None, SeriesSize | None], ...]
-    """Balls and hits of each level, by section, to find a difference and to show equivalence."""
-    notes: tuple[tuple[str, ...], ...]
-    """Sentences of each section: interim looks, covariates, and the benefit of more shots."""
+    sections: tuple[SectionFindings, ...]
+    differences: tuple[DifferenceTable, ...]
     repeatability: Mapping[tuple[str, str], Sequence[Repeatability]]
     """Repeatability of each (swing, club)."""
     rules: tuple[RuleFinding, ...]
@@ -320,28 +320,29 @@ def findings(
     `looks` are the numbers of shots after which results were looked at before; None: not known, then an
     unfinished campaign counts as looked at after each block.
     """
-    analyses, views = [], []
-    named = as_flown(plan, shots)
-    for section in sections(plan):
+    found, named = [], as_flown(plan, shots)
+    for section, label in zip(sections(plan), section_labels(plan), strict=True):
         mine = [shot for shot in shots if shot.section == section.number]
-        analyses.append(analyse(plan, mine, section.number, section.name, looks))
-        views.append(
-            SectionViews(
+        analysis = analyse(plan, mine, section.number, section.name, looks)
+        needed = _needed(plan, analysis)
+        found.append(
+            SectionFindings(
+                label,
+                analysis,
+                _verdicts(named, analysis, needed, units),
+                needed,
+                section_notes(named, analysis, needed, units),
                 level_quantities(plan, mine),
-                ranking(analyses[-1].confirmatory),
+                ranking(analysis.confirmatory),
                 dispersion_ellipses(plan, mine),
                 control_charts(plan, mine),
             )
         )
-    needed = tuple(_needed(plan, analysis) for analysis in analyses)
     return Findings(
         len(shots),
         Counter(str(shot.status) for shot in shots),
-        tuple(analyses),
-        tuple(views),
-        tuple(_verdicts(named, *each, units) for each in zip(analyses, needed, strict=True)),
-        needed,
-        tuple(section_notes(named, *each, units) for each in zip(analyses, needed, strict=True)),
+        tuple(found),
+        difference_tables(plan, [one.analysis for one in found]),
         repeatability(shots),
         tuple(judge_rules(plan, shots, units)),
         None if looks is None else tuple(looks),
@@ -349,10 +350,7 @@ def findings(
 
 
 def _verdicts(
-    plan: CampaignPlan,
-    analysis: SectionAnalysis,
-    needed: tuple[SeriesSize | None, SeriesSize | None],
-    units: UnitSystem,
+    plan: CampaignPlan, analysis: SectionAnalysis, needed: Needed, units: UnitSystem
 ) -> tuple[Verdict, ...]:
     """Return a section's verdicts, in a split-plot with those on balls within each club."""
     found = list(section_verdicts(plan, analysis, needed, units))
@@ -370,7 +368,7 @@ def as_flown(plan: CampaignPlan, shots: Sequence[Shot]) -> CampaignPlan:
     return replace(plan, analysis=replace(plan.analysis, carry=""))
 
 
-def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[SeriesSize | None, SeriesSize | None]:
+def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> Needed:
     comparison = analysis.confirmatory
     if comparison is None or not comparison.pairs:
         return None, None
@@ -383,18 +381,7 @@ def findings_record(found: Findings) -> dict[str, Any]:
         "schema": SCHEMA,
         "shots": found.shots,
         "by_status": dict(found.by_status),
-        "sections": [
-            json_value(asdict(analysis))
-            | {
-                "verdicts": [verdict._asdict() for verdict in verdicts],
-                "needed": dict(zip(("different", "same"), (n and n._asdict() for n in needed), strict=True)),
-                "notes": list(notes),
-            }
-            | _views_record(views)
-            for analysis, verdicts, needed, notes, views in zip(
-                found.sections, found.verdicts, found.needed, found.notes, found.views, strict=True
-            )
-        ],
+        "sections": [_section_record(section) for section in found.sections],
         "repeatability": [
             {"swing": swing, "club": club, "figures": [json_value(asdict(figure)) for figure in figures]}
             for (swing, club), figures in found.repeatability.items()
@@ -403,17 +390,25 @@ def findings_record(found: Findings) -> dict[str, Any]:
     }
 
 
-def _views_record(views: SectionViews) -> dict[str, Any]:
-    """Return the views for JSON, of a control chart without the shots' own values."""
-    record: dict[str, Any] = json_value(asdict(replace(views, control_charts=())))
-    record["control_charts"] = [
-        {
-            "column": chart.column,
-            "values": len(chart.values),
-            "centre": chart.centre,
-            "sd": chart.sd,
-            "signals": {str(signal.rule): list(signal.shots) for signal in chart.signals},
-        }
-        for chart in views.control_charts
-    ]
-    return record
+def _section_record(found: SectionFindings) -> dict[str, Any]:
+    """Return the findings of a section for JSON, of a control chart without the shots' own values."""
+    needed = zip(("different", "same"), (size and size._asdict() for size in found.needed), strict=True)
+    record: dict[str, Any] = json_value(asdict(found.analysis))
+    return record | {
+        "verdicts": [verdict._asdict() for verdict in found.verdicts],
+        "needed": dict(needed),
+        "notes": list(found.notes),
+        "quantities": [json_value(asdict(one)) for one in found.quantities],
+        "ranking": [json_value(asdict(one)) for one in found.ranking],
+        "dispersion": [json_value(asdict(one)) for one in found.dispersion],
+        "control_charts": [
+            {
+                "column": chart.column,
+                "values": len(chart.values),
+                "centre": chart.centre,
+                "sd": chart.sd,
+                "signals": {str(signal.rule): list(signal.shots) for signal in chart.signals},
+            }
+            for chart in found.control_charts
+        ],
+    }

@@ -14,7 +14,6 @@ from rich.table import Table
 
 from bench.campaign.plan.bench_setup import LoadList, load_lists
 from bench.campaign.plan.plan import NAMES, CampaignPlan, levels
-from bench.campaign.plan.prompts import places
 from bench.campaign.plan.shot_sequence import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
 from bench.campaign.report.report_format import display_unit
 from bench.campaign.statistics.block_model import within_club
@@ -25,7 +24,7 @@ from bench.campaign.statistics.sample_size import (
     predict_precision,
     series_needed,
 )
-from bench.store.records import Hit
+from bench.store.records import Hit, places
 
 _SHOWN = 3
 """Number of blocks printed of each section without --all."""

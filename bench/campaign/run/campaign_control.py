@@ -9,7 +9,6 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.errors import BenchError, Refused
-from bench.campaign.plan.prompts import require_count
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
 from bench.supervisor.ownership import try_lock
@@ -30,7 +29,7 @@ def answer(
     """
     prompts = store.prompts(store.entry(campaign).id)
     if balls is not None and prompts and prompts[-1].answered is None:
-        require_count(prompts[-1], balls)
+        prompts[-1].require_count(balls)
     if not prompts or not store.answer(campaign, prompts[-1].number, by, now):
         location, expected = f"campaign {campaign}", "a prompt that waits for an answer"
         raise Refused(location, "no open prompt", expected, "See golfbench campaign list.")

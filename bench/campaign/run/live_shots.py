@@ -16,25 +16,34 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
+
+from sim.air import Air
 
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import format_value
 from bench.base.lifecycle import Refusal
 from bench.campaign.plan.bench_setup import Preparation
-from bench.campaign.plan.carry import Measured, carry_columns, require_carry
+from bench.campaign.plan.carry import Measured, require_carry
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Step
 from bench.campaign.run.corrections import CampaignCorrections, Drift
 from bench.campaign.run.plan_requirements import START_SERIES, Profiles, needs_series, series_words
-from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Suspended, Taken
+from bench.campaign.run.shot_source import (
+    BlockingCondition,
+    MonitorResult,
+    ShotPostponed,
+    ShotSource,
+    Suspended,
+    Taken,
+    shot_row,
+    with_launch,
+)
 from bench.campaign.run.simulated_shots import (
     ball_as_hit,
     monitored,
     random_of,
     reported_carry,
-    shot_row,
 )
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
@@ -45,16 +54,16 @@ from bench.network.lease import CAMPAIGN_HOLDER
 from bench.network.status_words import absent_monitor_text
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
 from bench.records.shot.shot import ShotStatus
-from bench.records.shot.shot_matcher import reported_columns
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
 from bench.records.shot.strike import ball_struck
 from bench.records.telemetry.recorder import SwingRecord
+from bench.store.records import PromptKind
 from bench.supervisor.ownership import bench_folder
 from bench.supervisor.readiness import mechanically_equal, with_face_of
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
-from drivers.base import Launch
 from drivers.base.shared_memory import SharedMemoryError
+from drivers.launch_monitor.record import LaunchRecord
 from sim.ball import Air, Ball
 from sim.exchange import SurroundingsWriter
 from sim.impact import Delivery, strike
@@ -112,13 +121,9 @@ def require_live(
             "enabled = true.",
         )
     require_carry(plan, measured or {})
-    if plan.ball_handling.identify or not plan.ball_handling.magazine:
-        raise Refused(
-            f"{location}: ball_handling",
-            f"identify {format_value(plan.ball_handling.identify)}, magazine {plan.ball_handling.magazine}",
-            "identify false and a magazine of at least 1",
-            "A real feeder reads no numbers: a person fills it in the listed order and confirms it.",
-        )
+    if not plan.ball_handling.magazine:
+        action = "A real feeder reads no numbers: a person fills it in the listed order and confirms it."
+        raise Refused(f"{location}: ball_handling", "magazine 0", "a magazine of at least 1", action)
 
 
 def _fits(
@@ -386,24 +391,19 @@ class LiveShots(ShotSource):
         air = around.air if self.simulated else self._air()
         around = around if air is None else replace(around, air=air)
         if self._monitored:
-            seen = _reported(message)
-            more |= seen.metadata
+            heard = MonitorResult(None, NO_WORD)
+            if message is not None:
+                heard = MonitorResult(None, message["reason"])
+                if (told := message["launch"]) is not None:
+                    more["launch"] = told
+                    heard = heard._replace(launch=launch_from_json(told))
         else:
             hit = delivery if self.simulated and struck else None
-            seen = self._modelled(number, hit, plant.robot.club, ball, around)
-        doubt, carries, told = seen.doubt, dict[str, Any](), seen.figures.get("carry_monitor_m")
-        if seen.launch is not None and not doubt:
-            simulated, name = ball if self.simulated else None, step.trial.arm.ball
-            carries, doubt = carry_columns(
-                self._plan, self._measured, name, seen.launch, around, told, simulated
-            )
-        if doubt and not reason:
-            status, reason = ShotStatus.EXCLUDED, doubt
+            heard = self._modelled(number, hit, plant.robot.club, ball, around)
         time_utc = datetime.fromisoformat(metadata["time_utc"])
-        shot = shot_row(
-            step, number, sample, time_utc, status, reason, delivery=delivery, launch=seen.launch, air=air
-        )
-        shot = replace(shot, **{**seen.figures, **carries})
+        row = shot_row(step, number, sample, time_utc, status, reason, delivery=delivery, air=air)
+        simulated = ball if self.simulated else None
+        shot = with_launch(row, heard, self._plan, self._measured, around, simulated)
         metadata |= {"record": record.path.name, **more}
         return Taken(shot, cycles, metadata, struck, tuple(self._events), original=record.path)
 
@@ -422,39 +422,19 @@ class LiveShots(ShotSource):
 
     def _modelled(
         self, number: int, delivery: Delivery | None, club: Club, ball: Ball, around: FlightConditions
-    ) -> _SeenLaunch:
+    ) -> MonitorResult:
         """Return the launch of `ball` as a simulated launch monitor sees it; none without a `delivery`."""
         if delivery is None:
-            return _SeenLaunch(None)
+            return MonitorResult()
         draws = random_of(self._plan, number).standard_normal(6)
         try:
             true = strike(delivery, club, ball)
         except ValueError as error:
-            return _SeenLaunch(None, f"no launch: {error}")
+            return MonitorResult(None, f"no launch: {error}")
         carry = reported_carry(self._plan, number, true, ball, around)
-        figures = {} if carry is None else {"carry_monitor_m": carry}
-        return _SeenLaunch(monitored(self._plan.simulation, true, draws[2:]), "", figures)
-
-
-class _SeenLaunch(NamedTuple):
-    """Launch of a shot as the launch monitor has it."""
-
-    launch: Launch | None
-    doubt: str = ""
-    """Reason to exclude the shot; empty without one."""
-    figures: Mapping[str, Any] = {}
-    """Columns of the shot that the monitor measured."""
-    metadata: Mapping[str, Any] = {}
-
-
-def _reported(message: ShotPublication | None) -> _SeenLaunch:
-    """Return the launch that the launch monitor's process reported; doubtful without a `message`."""
-    if message is None:
-        return _SeenLaunch(None, NO_WORD)
-    if (told := message["launch"]) is None:
-        return _SeenLaunch(None, message["reason"])
-    launch = launch_from_json(told)
-    return _SeenLaunch(launch.launch, message["reason"], reported_columns(launch), {"launch": told})
+        seen = monitored(self._plan.simulation, true, draws[2:])
+        record = LaunchRecord(0.0, "", number, *seen, carry=carry, source="simulated")
+        return MonitorResult(record)
 
 
 def _left_to_person(todo: str) -> None:

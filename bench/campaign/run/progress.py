@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -64,10 +64,8 @@ class CampaignProgress(Watcher):
         """Held while an event is published: the notifier speaks from its own thread."""
         trials = all_trials(plan)
         self._open: dict[tuple[int, int], PlannedShot] = {(t.block, t.position): t for t in trials}
-        self._closed: dict[int, list[PlannedShot]] = {}
-        """Completed shots by block, until the next block begins."""
-        self._valid: tuple[int, Counter[str]] = 0, Counter()
-        """A block and its valid shots by ball."""
+        self._block: list[Shot] = []
+        """Shots of the block in progress."""
         self._times: deque[float] = deque(maxlen=_LAST)
         self._replaying = True
         self._balls_left: int | None = None
@@ -104,11 +102,11 @@ class CampaignProgress(Watcher):
         m["block"] = shot.block
         if shot.role != Role.WARM_UP:
             m["balls"][shot.ball]["valid"] += valid
-            if self._valid[0] != shot.block:
-                self._valid = shot.block, Counter()
-            self._valid[1][shot.ball] += valid
-        if is_settled(self._plan, shot) and (trial := self._open.pop((shot.block, shot.position), None)):
-            self._closed = {shot.block: [*self._closed.get(shot.block, []), trial]}
+            if self._block and self._block[-1].block != shot.block:
+                self._block = []
+            self._block.append(shot)
+        if is_settled(self._plan, shot):
+            self._open.pop((shot.block, shot.position), None)
         m["done"] = m["planned"] - len(self._open)
         m["last_shot"] = {name: getattr(shot, name) for name in _FIGURES} | {
             "time_utc": shot.time_utc.isoformat()
@@ -124,13 +122,12 @@ class CampaignProgress(Watcher):
 
     def set_aside(self, block: int) -> None:
         """Open a block again; its shots so far do not count."""
-        for trial in self._closed.pop(block, []):
-            self._open[trial.block, trial.position] = trial
-        if self._valid[0] == block:
-            for ball, valid in self._valid[1].items():
-                self.message["balls"][ball]["valid"] -= valid
-                self.message["valid"] -= valid
-            self._valid = 0, Counter()
+        for shot in (one for one in self._block if one.block == block):
+            valid = shot.status is ShotStatus.VALID
+            self.message["balls"][shot.ball]["valid"] -= valid
+            self.message["valid"] -= valid
+            self._open[shot.block, shot.position] = _trial_of(shot)
+        self._block = []
         self._open = dict(sorted(self._open.items()))
         self.message["done"] = self.message["planned"] - len(self._open)
         self._time_left()

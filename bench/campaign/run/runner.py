@@ -20,7 +20,6 @@ from bench.campaign.interruptions import RunStart, duration_text, found_at_begin
 from bench.campaign.plan.bench_setup import Fitting, Preparation, fitting_after, missing, sample_for
 from bench.campaign.plan.gate import outside
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import RESTART, Course, Ending, Role, Step
 from bench.campaign.run.corrections import DriftDetector
 from bench.campaign.run.shot_source import Operator, ShotPostponed, ShotSource, Suspended, Taken, Watcher
@@ -29,7 +28,7 @@ from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.telemetry.recorder import write_swing
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked
-from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt
+from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt, PromptKind
 from drivers.base import ACTUATORS
 
 BATCH = 50

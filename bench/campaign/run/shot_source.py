@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from datetime import datetime
 from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from sim.air import Air
 
 from bench.campaign.plan.bench_setup import Preparation
-from bench.campaign.plan.prompts import PromptKind
+from bench.campaign.plan.carry import Measured, carry_columns
+from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Step
 from bench.campaign.run.corrections import Drift
-from bench.records.shot.shot import Shot
-from bench.store.records import CampaignState, Prompt
+from bench.records.shot.recorded_shot import FlightConditions
+from bench.records.shot.shot import Shot, ShotStatus, delivery_columns
+from bench.records.shot.shot_matcher import reported_columns
+from bench.store.records import CampaignState, Prompt, PromptKind
+from drivers.launch_monitor.record import LaunchRecord
+from sim.ball import Ball
+from sim.impact import Delivery
 
 
 class Suspended(Exception):
@@ -51,6 +59,63 @@ class Taken(NamedTuple):
     """Whether the robot was stopped within the swing."""
     original: Path | None = None
     """The bench's own record, which is moved to the campaign's folder."""
+
+
+class MonitorResult(NamedTuple):
+    """Result of a shot at the launch monitor."""
+
+    launch: LaunchRecord | None = None
+    reason: str = ""
+    """Why its figures are missing or invalid; empty if they are valid, or no ball was struck."""
+
+
+def shot_row(
+    step: Step,
+    number: int,
+    sample: int,
+    time_utc: datetime,
+    status: ShotStatus,
+    reason: str,
+    *,
+    delivery: Delivery | None = None,
+    air: Air | None = None,
+) -> Shot:
+    """Return the row of shot `number`, taken as `step` with ball `sample` in the measured `air`."""
+    trial, arm = step.trial, step.trial.arm
+    columns = delivery_columns(delivery)
+    if air is not None:
+        columns |= {
+            "air_temperature_k": air.temperature,
+            "air_pressure_pa": air.pressure,
+            "relative_humidity": air.relative_humidity,
+        }
+    columns |= {"swing": arm.swing, "role": str(trial.role), "section": trial.section}
+    columns |= {"attempt": step.attempt, "sample": sample, "time_utc": time_utc}
+    return Shot(number, trial.block, trial.position, arm.club, arm.ball, status, reason, **columns)
+
+
+def with_launch(
+    shot: Shot,
+    heard: MonitorResult,
+    plan: CampaignPlan,
+    measured: Measured,
+    around: FlightConditions,
+    simulated: Ball | None,
+) -> Shot:
+    """Return `shot` with its launch as `heard` and its carry; excluded if one of them is in doubt.
+
+    `measured`, `around`, `simulated` as `carry_columns` takes them.
+    """
+    columns, doubt = dict[str, Any](), heard.reason
+    if heard.launch is not None:
+        columns = reported_columns(heard.launch)
+        if not doubt and (launch := heard.launch.launch) is not None:
+            reported = heard.launch.carry
+            carries, doubt = carry_columns(plan, measured, shot.ball, launch, around, reported, simulated)
+            columns |= carries
+    if doubt and not shot.reason:
+        columns |= {"status": ShotStatus.EXCLUDED, "reason": doubt}
+    return replace(shot, **columns)
 
 
 class ShotSource:

@@ -11,21 +11,21 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from math import pi
-from typing import Any, NamedTuple
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 
-from bench.campaign.plan.carry import Measured, carry_columns
+from bench.campaign.plan.carry import Measured
 from bench.campaign.plan.plan import CampaignPlan, Simulation
 from bench.campaign.plan.shot_sequence import Step
 from bench.campaign.run.corrections import CampaignCorrections, Drift
-from bench.campaign.run.shot_source import ShotSource, Taken
+from bench.campaign.run.shot_source import MonitorResult, ShotSource, Taken, shot_row, with_launch
 from bench.config import Configuration
 from bench.learning.learn import LearningProblem, Swinger, on_series
 from bench.records.shot.recorded_shot import FlightConditions
-from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_matcher import UNREPORTED, reported_columns
+from bench.records.shot.shot import ShotStatus
+from bench.records.shot.shot_matcher import UNREPORTED
 from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Series
 from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingResult
@@ -33,19 +33,10 @@ from bench.swing.library import find_profile
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
 from drivers.launch_monitor.record import LaunchRecord, Match, MatchOutcome, MatchWindow, SwingImpact, match
-from sim.ball import Air, Ball
+from sim.ball import Ball
 from sim.flight import fly
-from sim.impact import Delivery
 from sim.launch_monitor import MonitorParameters, monitor_messages
 from sim.plant import PlantParameters
-
-
-class MonitorResult(NamedTuple):
-    """Result of a shot at the launch monitor."""
-
-    launch: LaunchRecord | None
-    reason: str
-    """Why its figures are missing or invalid; empty if they are valid."""
 
 
 def hear(
@@ -120,48 +111,6 @@ def reported_carry(
     return max(0.0, carry + plan.simulation.carry * noise)
 
 
-def shot_row(
-    step: Step,
-    number: int,
-    sample: int,
-    time_utc: datetime,
-    status: ShotStatus,
-    reason: str,
-    *,
-    delivery: Delivery | None = None,
-    launch: Launch | None = None,
-    air: Air | None = None,
-) -> Shot:
-    """Return the row of shot `number`, taken as `step` with ball `sample` in the measured `air`."""
-    trial, arm = step.trial, step.trial.arm
-    weather: dict[str, Any] = {}
-    if air is not None:
-        weather = {
-            "air_temperature_k": air.temperature,
-            "air_pressure_pa": air.pressure,
-            "relative_humidity": air.relative_humidity,
-        }
-    return Shot.from_measurements(
-        shot=number,
-        block=trial.block,
-        position=trial.position,
-        club=arm.club,
-        ball=arm.ball,
-        swing=arm.swing,
-        role=str(trial.role),
-        section=trial.section,
-        attempt=step.attempt,
-        sample=sample,
-        time_utc=time_utc,
-        status=status,
-        reason=reason,
-        delivery=delivery,
-        launch=launch,
-        flight=None,
-        **weather,
-    )
-
-
 class SimulatedShots(ShotSource):
     """The simulated bench in lock-step; hindrances are part of its shots, and it swings every profile."""
 
@@ -215,22 +164,25 @@ class SimulatedShots(ShotSource):
         events = []
         if number in s.guard_opened:
             events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
-        if fault := self._feeder_fault(arm.ball, number, sample):
-            time, air = self.time_of(number), self._configuration.air
+        if number in s.feeder_jam:
+            time, air, fault = self.time_of(number), self._configuration.air, "feeder jam: no ball came"
             shot = shot_row(step, number, sample, time, ShotStatus.FAILED, fault, air=air)
             return Taken(shot, None, {}, False, tuple(events))
         armed, base = self._bench(arm.swing, arm.club)
         random = random_of(self._plan, number)
         draws = random.standard_normal(6)
-        came = sample + (number in s.wrong_ball)
-        ball = ball_as_hit(self._plan, arm.ball, came, number, float(draws[0]))
+        ball = ball_as_hit(self._plan, arm.ball, sample, number, float(draws[0]))
         c = self._configuration
         supply = replace(c.plant.supply, pressure=c.plant.supply.pressure * (1 + s.supply * float(draws[1])))
         plant = replace(
             self._worn(arm.club, number), ball=ball, supply=supply, seed=int(random.integers(2**31))
         )
         result = armed.swing_on(plant, None if number in s.missed_ball else ball)
-        shot = self._judged(step, number, sample, result, ball, draws[2:])
+        around, time = FlightConditions(c.air, c.wind, c.turf), self.time_of(number)
+        status, reason, delivery = result.status, result.reason, result.delivery
+        row = shot_row(step, number, sample, time, status, reason, delivery=delivery, air=c.air)
+        heard = self._heard(number, result, ball, around, draws[2:])
+        shot = with_launch(row, heard, self._plan, self._measured, around, ball)
         varied = {
             "restitution_factor": ball.restitution_factor,
             "supply_pressure": supply.pressure,
@@ -241,43 +193,19 @@ class SimulatedShots(ShotSource):
             shot, result.cycles, metadata, result.launch is not None, tuple(events), result.interrupted
         )
 
-    def _feeder_fault(self, ball: str, number: int, sample: int) -> str:
-        """Return why there is no ball to strike; a wrong ball is noticed only if its number is read."""
-        s = self._plan.simulation
-        if number in s.feeder_jam:
-            return "feeder jam: no ball came"
-        if number in s.wrong_ball and self._plan.ball_handling.identify:
-            return f"feeder: ball {ball} {sample + 1} came, {ball} {sample} was to come"
-        return ""
-
-    def _judged(
-        self, step: Step, number: int, sample: int, result: SwingResult, ball: Ball, noise: np.ndarray
-    ) -> Shot:
-        """Return the shot with the figures of launch monitor and flight model."""
-        status, reason = result.status, result.reason
-        heard, carries = MonitorResult(None, ""), dict[str, Any]()
-        if result.launch is not None:
-            c, s = self._configuration, self._plan.simulation
-            speed = None if result.delivery is None else result.delivery.speed
-            around = FlightConditions(c.air, c.wind, c.turf)
-            seen = monitored(s, result.launch, noise)
-            carry = reported_carry(self._plan, number, result.launch, ball, around)
-            heard = hear(seen, number, speed, self._monitor, c.launch_monitor.window, carry)
-            if heard.reason:
-                status, reason = ShotStatus.EXCLUDED, reason or heard.reason
-            elif heard.launch is not None and heard.launch.launch is not None:
-                told, launch = heard.launch.carry, heard.launch.launch
-                name = step.trial.arm.ball
-                carries, doubt = carry_columns(self._plan, self._measured, name, launch, around, told, ball)
-                if doubt:
-                    status, reason = ShotStatus.EXCLUDED, reason or doubt
-        time, delivery, air = self.time_of(number), result.delivery, self._configuration.air
-        shot = shot_row(step, number, sample, time, status, reason, delivery=delivery, air=air)
-        if heard.launch is not None:
-            shot = replace(
-                shot, **{**reported_columns(heard.launch), "launch_source": "simulated", **carries}
-            )
-        return shot
+    def _heard(
+        self, number: int, result: SwingResult, ball: Ball, around: FlightConditions, noise: np.ndarray
+    ) -> MonitorResult:
+        """Return what the simulated launch monitor reports of the shot; nothing without a launch."""
+        if result.launch is None:
+            return MonitorResult()
+        speed = None if result.delivery is None else result.delivery.speed
+        seen = monitored(self._plan.simulation, result.launch, noise)
+        carry = reported_carry(self._plan, number, result.launch, ball, around)
+        window = self._configuration.launch_monitor.window
+        heard = hear(seen, number, speed, self._monitor, window, carry)
+        launch = heard.launch and replace(heard.launch, source="simulated")
+        return heard._replace(launch=launch)
 
     def _bench(self, swing: str, club: str) -> tuple[ArmedBench, dict[str, Any]]:
         """Return the bench armed with a swing and a club, and the metadata of all its records."""

@@ -307,12 +307,12 @@ def _take(
     by: str,
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
-    from bench.campaign.plan.prompts import PromptKind
     from bench.campaign.run.progress import CampaignProgress, notifying
     from bench.campaign.run.runner_control import run_campaign, run_start
     from bench.campaign.run.shot_source import Watcher
     from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar
     from bench.commands.campaign.campaign_terminal import TerminalOperator, mark_keys
+    from bench.store.records import PromptKind
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
@@ -349,8 +349,8 @@ def _tell(
     typer.echo(f"{reached}; {outcome.shots} shots, {outcome.valid} valid")
     if outcome.state in {CampaignState.STOPPED, CampaignState.SUSPENDED}:
         typer.echo(f"Next: golfbench campaign resume {campaign}")
-    for verdicts in found.verdicts:
-        for verdict in verdicts:
+    for section in found.sections:
+        for verdict in section.verdicts:
             typer.echo(f"{verdict.headline}\n  {verdict.detail}")
     for rule in found.rules:
         typer.echo(rule.words_in(units))

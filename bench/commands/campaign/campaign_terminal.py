@@ -28,10 +28,9 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
-from bench.campaign.plan.prompts import Numbered, PromptKind, balls_of, places, require_count
 from bench.commands.campaign.campaign_screen import CampaignBar
 from bench.commands.common.command import at_terminal, user_name
-from bench.store.records import MAX_COMMENT_LENGTH, Prompt, ShotNote
+from bench.store.records import MAX_COMMENT_LENGTH, Numbered, Prompt, PromptKind, ShotNote, places
 
 HINT = "m: mark the last shot"
 _LOOK = 0.1
@@ -250,7 +249,7 @@ class TerminalOperator:
         if self._keys:
             self._keys.pause()
         self._bar.hide()
-        command, balls = f"golfbench campaign answer {self._campaign}", balls_of(prompt)
+        command, balls = f"golfbench campaign answer {self._campaign}", prompt.balls
         enter = "Enter, or the number of balls that you loaded and Enter" if balls else "Enter"
         how = f"{enter} (or {command})" if self._listening else command
         if self._listening and in_foreground(sys.stdin.fileno()):
@@ -286,7 +285,7 @@ class TerminalOperator:
             return False
         try:
             if self._prompt is not None:
-                require_count(self._prompt, int(line))
+                self._prompt.require_count(int(line))
         except Refused as wrong:
             self._say(f"Not confirmed: {wrong.found}, expected {wrong.expected}. {wrong.action}")
             return False

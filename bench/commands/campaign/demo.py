@@ -138,7 +138,7 @@ def write_result(
             f"{left} swings not started: after a stop nothing arms automatically.", style="bold red"
         )
     console.print(f"Everything is simulated. From shot to shot differ, {scatter}.\n")
-    for verdict in (verdict for section in found.verdicts for verdict in section):
+    for verdict in (verdict for section in found.sections for verdict in section.verdicts):
         console.print(verdict.headline, style="bold")
         console.print(verdict.detail)
     console.print(f"{robot_words(found.repeatability)}\n")

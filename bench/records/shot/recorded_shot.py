@@ -20,7 +20,15 @@ from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, as_tree, laid_over
 from bench.base.json_schema import require_fit
 from bench.base.lifecycle import CAUSE_TEXT, Cause
-from bench.records.shot.shot import COLUMNS, Shot, ShotRecord, ShotStatus
+from bench.records.shot.shot import (
+    COLUMNS,
+    Shot,
+    ShotRecord,
+    ShotStatus,
+    delivery_columns,
+    flight_columns,
+    launch_columns,
+)
 from bench.records.shot.strike import ball_struck, time_at_ball
 from bench.records.telemetry.recorder import read_swing
 from drivers.base import Launch
@@ -177,21 +185,10 @@ def shot_of_cycles(
         reason = CAUSE_TEXT[Cause(int(trips[0]))]
     elif launch is None and not reason:
         reason = "no ball struck"
-    shot = Shot.from_measurements(
-        shot=number,
-        block=1,
-        position=1,
-        club=plant.robot.club.name,
-        ball=plant.ball.name if launch is not None else "",
-        time_utc=time_utc,
-        delivery=delivery,
-        launch=launch,
-        flight=flight,
-        status=ShotStatus.FAILED if reason else ShotStatus.VALID,
-        reason=reason,
-        launch_source="model",
-        carry_source="model",
-    )
+    club, ball = plant.robot.club.name, plant.ball.name if launch is not None else ""
+    status = ShotStatus.FAILED if reason else ShotStatus.VALID
+    columns = delivery_columns(delivery) | launch_columns(launch, "model") | flight_columns(flight, "model")
+    shot = Shot(number, 1, 1, club, ball, status, reason, time_utc=time_utc, **columns)
     return ShotRecord(shot, cycles, flight)
 
 

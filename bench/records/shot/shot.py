@@ -106,63 +106,6 @@ class Shot:
     gate_figure: str = ""
     """First figure outside a campaign's gate: a field of `bench.campaign.plan.gate.Centre`; "" if none is."""
 
-    @classmethod
-    def from_measurements(
-        cls,
-        *,
-        shot: int,
-        block: int,
-        position: int,
-        club: str,
-        ball: str,
-        time_utc: datetime,
-        delivery: Delivery | None,
-        launch: Launch | None,
-        flight: Flight | None,
-        status: ShotStatus = ShotStatus.VALID,
-        reason: str = "",
-        launch_source: str = "simulated",
-        carry_source: str = "simulated",
-        **more: Any,
-    ) -> Shot:
-        """Return the shot of measured values (SI, radians); None leaves its columns and source empty.
-
-        `more` are further columns.
-        """
-        figures: dict[str, Any] = {}
-        if delivery is not None:
-            figures |= {
-                "club_speed_mps": delivery.speed,
-                "attack_angle_deg": degrees(delivery.attack_angle),
-                "club_path_deg": degrees(delivery.path),
-                "face_angle_deg": degrees(delivery.face_angle),
-                "dynamic_loft_deg": degrees(delivery.dynamic_loft),
-                "strike_x_mm": 1e3 * delivery.strike_x,
-                "strike_y_mm": 1e3 * delivery.strike_y,
-                "delivery_source": delivery.source,
-            }
-        if launch is not None:
-            figures |= {
-                "ball_speed_mps": launch.speed,
-                "launch_angle_deg": degrees(launch.launch_angle),
-                "direction_deg": degrees(launch.direction),
-                "spin_rpm": launch.spin * 30 / pi,
-                "spin_axis_deg": degrees(launch.spin_axis),
-                "launch_source": launch_source,
-            }
-        if flight is not None:
-            figures |= {
-                "carry_m": flight.carry,
-                "total_m": flight.total,
-                "apex_m": flight.apex,
-                "landing_angle_deg": degrees(flight.landing_angle),
-                "carry_source": carry_source,
-                "carry_side_m": flight.carry_side,
-            }
-        return cls(
-            shot, block, position, club, ball, status, reason, time_utc=time_utc, **{**figures, **more}
-        )
-
     def __post_init__(self) -> None:
         """Refuse values a table cannot hold: non-finite figures, times without zone, a missing reason."""
         for name, value in vars(self).items():
@@ -172,6 +115,49 @@ class Shot:
             raise ValueError(f"time_utc {self.time_utc} has no time zone")
         if (self.status is ShotStatus.VALID) == bool(self.reason):
             raise ValueError(f"status {self.status} with reason {self.reason!r}: only valid shots have none")
+
+
+def delivery_columns(delivery: Delivery | None) -> dict[str, Any]:
+    """Return the columns of `delivery` (SI, radians); empty without one."""
+    if delivery is None:
+        return {}
+    return {
+        "club_speed_mps": delivery.speed,
+        "attack_angle_deg": degrees(delivery.attack_angle),
+        "club_path_deg": degrees(delivery.path),
+        "face_angle_deg": degrees(delivery.face_angle),
+        "dynamic_loft_deg": degrees(delivery.dynamic_loft),
+        "strike_x_mm": 1e3 * delivery.strike_x,
+        "strike_y_mm": 1e3 * delivery.strike_y,
+        "delivery_source": delivery.source,
+    }
+
+
+def launch_columns(launch: Launch | None, source: str) -> dict[str, Any]:
+    """Return the columns of `launch` from `source`; empty without one."""
+    if launch is None:
+        return {}
+    return {
+        "ball_speed_mps": launch.speed,
+        "launch_angle_deg": degrees(launch.launch_angle),
+        "direction_deg": degrees(launch.direction),
+        "spin_rpm": launch.spin * 30 / pi,
+        "spin_axis_deg": degrees(launch.spin_axis),
+        "launch_source": source,
+    }
+
+
+def flight_columns(flight: Flight | None, carry_source: str = "") -> dict[str, Any]:
+    """Return the columns of `flight`, with its carry if that has a source; empty without one."""
+    if flight is None:
+        return {}
+    carry = {"carry_m": flight.carry, "carry_source": carry_source} if carry_source else {}
+    return carry | {
+        "total_m": flight.total,
+        "apex_m": flight.apex,
+        "landing_angle_deg": degrees(flight.landing_angle),
+        "carry_side_m": flight.carry_side,
+    }
 
 
 COLUMNS = tuple(field.name for field in fields(Shot))

@@ -7,7 +7,6 @@ club measured by the encoders and the ball by the monitor. Its flight is the ref
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from datetime import datetime
 from itertools import pairwise
 from math import degrees, pi
@@ -17,7 +16,7 @@ import numpy as np
 
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles
-from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus, delivery_columns, flight_columns
 from bench.records.shot.strike import ball_struck
 from bench.records.telemetry.swing_metadata import shot_id
 from drivers.launch_monitor.conversation import add_doubts
@@ -268,21 +267,9 @@ class ShotMatcher:
             why, status = CAUSE_TEXT[Cause(int(trips[trips != 0][0]))], ShotStatus.FAILED
         elif launch is None and not (swing.struck and swing.impact is not None):
             status = ShotStatus.FAILED
-        shot = Shot.from_measurements(
-            shot=number,
-            block=1,
-            position=1,
-            club=plant.robot.club.name,
-            ball="" if launch is None else plant.ball.name,
-            time_utc=time_utc,
-            delivery=delivery,
-            launch=None,
-            flight=flight,
-            status=status,
-            reason=why,
-            carry_source="reference",
-            carry_reference_m=None if flight is None else flight.carry,
-        )
-        if launch is not None:
-            shot = replace(shot, **reported_columns(launch))
+        columns = delivery_columns(delivery) | flight_columns(flight, "reference")
+        columns |= {} if flight is None else {"carry_reference_m": flight.carry}
+        columns |= {} if launch is None else reported_columns(launch)
+        club, ball = plant.robot.club.name, "" if launch is None else plant.ball.name
+        shot = Shot(number, 1, 1, club, ball, status, why, time_utc=time_utc, **columns)
         return SettledOutcome(one.outcome, one.shot, launch, reason, shot)

@@ -49,7 +49,7 @@ def test_campaign_report_uses_one_unit_system(
 
 
 def test_campaign_report_us_units_convert_verdict(record: CampaignRecord) -> None:
-    pair = findings(record.plan, record.shots).sections[0].confirmatory.pairs[0]  # type: ignore[union-attr]
+    pair = findings(record.plan, record.shots).sections[0].analysis.confirmatory.pairs[0]  # type: ignore[union-attr]
     page = _words(_page(record, UnitSystem.US))
     assert f"pole has {pair.difference / 0.9144:.2f} yd more carry (launch monitor) than seam" in page
     assert "find a difference of 4 yd" in page

@@ -65,10 +65,10 @@ def test_exclude_shot_changes_results_and_keeps_record(store: CampaignStore, tak
         before[8].shot, status=ShotStatus.EXCLUDED, reason="excluded by hand: leaf on the <tee>"
     )
     assert record.shots_as_taken == [stored.shot for stored in before]
-    (analysis,) = findings(record.plan, record.shots, []).sections
-    counted = {level.name: (level.valid, level.excluded) for level in analysis.levels}
+    (section,) = findings(record.plan, record.shots, []).sections
+    counted = {level.name: (level.valid, level.excluded) for level in section.analysis.levels}
     (whole,) = findings(taken.plan, taken.shots, []).sections
-    for level in whole.levels:
+    for level in whole.analysis.levels:
         gone = level.name == before[8].shot.ball
         assert counted[level.name] == (level.valid - gone, level.excluded + gone)
     found = verify_page(record, page, "report.html").differences

@@ -71,15 +71,15 @@ def test_look_now_unfinished_plan_counts_look_after_each_block(plan: CampaignPla
 def test_findings_interim_look_states_true_confidence(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(sd=2.0, difference=3.0), 3)[:20]
     found = findings(plan, shots, [20])
-    comparison = found.sections[0].confirmatory
+    comparison = found.sections[0].analysis.confirmatory
     assert comparison is not None
     assert comparison.confidence == pytest.approx(1 - spent(0.05, 0.5))
-    (verdict,) = found.verdicts[0]
+    (verdict,) = found.sections[0].verdicts
     assert f"{confidence_words(comparison.confidence)} % interval" in verdict.detail
     assert (
         "Look no. 1 has 50 % of the plan's shots; the others are excluded or still to come." in verdict.detail
     )
-    whole = findings(plan, campaign_shots(plan, Truth(), 3)).verdicts[0][0]
+    whole = findings(plan, campaign_shots(plan, Truth(), 3)).sections[0].verdicts[0]
     assert "95 % interval" in whole.detail
     assert "look" not in whole.detail.lower()
 
@@ -110,6 +110,6 @@ def test_note_look_unfinished_campaign_stores_event(plan: CampaignPlan, tmp_path
         store.change(entry.id, state=CampaignState.FINISHED)
         record = load_record(store, entry)
         assert note_look(store, record, "report") == [10, 20]
-    look = findings(plan, record.shots, [10, 20]).sections[0].look
+    look = findings(plan, record.shots, [10, 20]).sections[0].analysis.look
     assert look.number == 3
     assert look.alpha < 0.05

@@ -19,7 +19,6 @@ from bench.campaign.plan.bench_setup import Fitting, missing, sample_for
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
-from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import PlannedShot, Step, all_trials, sections
 from bench.campaign.report.campaign_record import CampaignRecord
 from bench.campaign.report.campaign_report import render_campaign_report
@@ -32,7 +31,7 @@ from bench.campaign.statistics.analysis import SectionAnalysis, analyse
 from bench.campaign.statistics.block_model import as_split_plot, fully_randomised
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import CampaignState, Standing
+from bench.store.records import CampaignState, PromptKind, Standing
 from tests.bench.campaign.known_truth import Known, cases, drawn
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -197,7 +196,7 @@ def test_analyse_split_plot_one_mounting_compares_no_clubs() -> None:
     result = _analysis(plan, shots)
     assert result.confirmatory is None
     assert result.within[0].confirmatory is not None
-    (first, *_) = findings(plan, shots).verdicts[0]
+    (first, *_) = findings(plan, shots).sections[0].verdicts
     assert "at least two mountings" in first.detail
 
 
@@ -274,8 +273,8 @@ def test_campaign_report_split_plot_names_mountings() -> None:
     plan = _plan()
     shots = _shots(plan, 1.0, 1.0)
     found = findings(plan, shots)
-    assert "5 mountings, by which clubs are judged" in found.verdicts[0][0].detail
-    assert [v.headline.split(":")[0] for v in found.verdicts[0][1:]] == [f"With {c}" for c in CLUBS]
+    assert "5 mountings, by which clubs are judged" in found.sections[0].verdicts[0].detail
+    assert [v.headline.split(":")[0] for v in found.sections[0].verdicts[1:]] == [f"With {c}" for c in CLUBS]
     record = CampaignRecord(
         new_entry(plan, SHIPPED, NOW, simulated=True),
         Standing(CampaignState.FINISHED, "", ""),

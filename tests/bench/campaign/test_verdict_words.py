@@ -27,7 +27,7 @@ def _case(part: str) -> Case:
 
 
 def _first(plan: CampaignPlan, shots: Sequence[Shot]) -> Verdict:
-    return findings(plan, shots).verdicts[0][0]
+    return findings(plan, shots).sections[0].verdicts[0]
 
 
 @pytest.mark.parametrize(("sd", "text"), [(1.234, "1.23"), (0.1, "0.10"), (0.00346, "0.0035"), (0.0, "0.00")])
@@ -95,10 +95,10 @@ def test_verdict_one_distant_level_counts_pairs(ten: Case) -> None:
 def test_verdict_differences_below_margin_count_as_different(ten: Case) -> None:
     shots, _ = drawn(ten, 3.45, 5)
     found = findings(ten.plan, shots)
-    pairs = found.sections[0].confirmatory.pairs  # type: ignore[union-attr]
+    pairs = found.sections[0].analysis.confirmatory.pairs  # type: ignore[union-attr]
     apart = [pair for pair in pairs if pair.low_together > 0 or pair.high_together < 0]
     less = [pair for pair in apart if pair.verdict == "both"]
-    headline = found.verdicts[0][0].headline
+    headline = found.sections[0].verdicts[0].headline
     assert 0 < len(less) < len(apart)
     begin = (
         f"{len(apart)} of 45 pairs differ in carry (launch monitor), {len(less)} of them by less than 4 m, "
@@ -110,9 +110,9 @@ def test_verdict_enough_shots_reports_no_shortage(ten: Case) -> None:
     # All are about a margin apart: neither different by more nor the same, however many shots.
     shots, _ = drawn(ten, 4.0, 5)
     found = findings(ten.plan, shots)
-    verdicts = {pair.verdict for pair in found.sections[0].confirmatory.pairs}  # type: ignore[union-attr]
+    verdicts = {pair.verdict for pair in found.sections[0].analysis.confirmatory.pairs}  # type: ignore[union-attr]
     assert "not enough shots" not in verdicts
-    assert "not enough" not in found.verdicts[0][0].headline
+    assert "not enough" not in found.sections[0].verdicts[0].headline
 
 
 def test_analyse_pair_differs_if_joint_interval_excludes_zero(ten: Case) -> None:

@@ -148,7 +148,7 @@ def test_campaign_report_compared_clubs_show_gap_to_next() -> None:
     clubs = _record("clubs", Truth(difference=12.0), 4)
     found = findings(clubs.plan, clubs.shots)
     page = _words(render_campaign_report(clubs, found))
-    means = sorted((level.spread.mean for level in found.sections[0].levels), reverse=True)
+    means = sorted((level.spread.mean for level in found.sections[0].analysis.levels), reverse=True)
     assert "gapto the next" in page
     for longer, shorter in pairwise(means):
         assert f"{longer - shorter:.2f}" in page

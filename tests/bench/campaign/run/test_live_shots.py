@@ -24,7 +24,6 @@ from bench.calibration.calibration import ClubInMount, EncoderZeros
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
-from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.campaign.report.budget import uncertainty_budgets
 from bench.campaign.report.campaign_record import load_record
@@ -48,7 +47,7 @@ from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignState
+from bench.store.records import CampaignState, PromptKind
 from bench.supervisor.status import NO_LAUNCH_MONITOR
 from drivers.base import Launch
 from drivers.launch_monitor.record import LaunchRecord, MatchOutcome
@@ -368,10 +367,6 @@ def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
         require(by_hand, driver="canopen")
     by_hand = replace(by_hand, ball_handling=replace(plan.ball_handling, magazine=6))
     require(by_hand, driver="canopen")
-    with pytest.raises(Refused, match=r"identify true"):
-        require(
-            replace(by_hand, ball_handling=replace(by_hand.ball_handling, identify=True)), driver="canopen"
-        )
 
 
 def test_live_shots_no_ball_on_tee_fails_shot_without_swing(

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from bench.campaign.plan.gate import Centre
-from bench.campaign.plan.plan import CampaignPlan, Simulation
+from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Step, all_trials
 from bench.campaign.run.plan_requirements import require_swings
-from bench.campaign.run.shot_source import Taken
-from bench.campaign.run.simulated_shots import MonitorResult, SimulatedShots, hear
+from bench.campaign.run.shot_source import MonitorResult, Taken
+from bench.campaign.run.simulated_shots import SimulatedShots, hear
 from bench.config import Configuration
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import UNREPORTED
@@ -112,27 +112,6 @@ def test_simulated_shots_club_loft_changes_dynamic_loft(source: SimulatedShots, 
     lofts = {one.shot.club: one.shot.dynamic_loft_deg or 0.0 for one in taken}
     assert lofts["driver"] - lofts["driver-9"] == pytest.approx(1.5, abs=0.2)
     assert lofts["driver-12"] - lofts["driver"] == pytest.approx(1.5, abs=0.2)
-
-
-def test_simulated_shots_feeder_faults_set_outcome(plan: CampaignPlan, configuration: Configuration) -> None:
-    s = replace(plan.simulation, missed_ball=(), feeder_jam=(2,), wrong_ball=(3,))
-
-    def take(number: int, simulation: Simulation, *, identify: bool) -> Taken:
-        handling = replace(plan.ball_handling, identify=identify)
-        changed = replace(plan, simulation=simulation, ball_handling=handling)
-        profiles = require_swings(changed, configuration)
-        return _take(SimulatedShots(changed, configuration, AsDesigned(profiles), never), changed, number)
-
-    jam = take(2, s, identify=False)
-    assert (jam.shot.reason, jam.cycles) == ("feeder jam: no ball came", None)
-    noticed = take(3, s, identify=True)
-    assert noticed.shot.reason == "feeder: ball tour 2 came, tour 1 was to come"
-    assert not noticed.struck
-    unnoticed = take(3, s, identify=False)
-    right = take(3, replace(s, wrong_ball=()), identify=False)
-    assert unnoticed.shot.status is ShotStatus.VALID
-    assert unnoticed.shot.sample == right.shot.sample
-    assert unnoticed.shot.ball_speed_mps != right.shot.ball_speed_mps, "another ball was struck"
 
 
 LAUNCH = Launch(62.0, 0.2, 0.01, 300.0, 0.02)

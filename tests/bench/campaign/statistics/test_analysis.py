@@ -139,8 +139,8 @@ def test_analyse_verdict_follows_difference_and_shot_count(plan: CampaignPlan) -
     assert _verdict(plan, Truth(sd=0.5, difference=1.5), 1) == "both"
     assert _verdict(small, Truth(sd=6.0, difference=0.0), 2) == "not enough shots"
     found = findings(small, campaign_shots(small, Truth(sd=6.0), 2))
-    (verdict,) = found.verdicts[0]
-    needed, _ = found.needed[0]
+    (verdict,) = found.sections[0].verdicts
+    needed, _ = found.sections[0].needed
     assert "Not enough shots" in verdict.headline
     assert needed is not None
     assert f"about {needed.shots} valid shots" in verdict.detail
@@ -186,14 +186,14 @@ def test_analyse_invalid_shots_are_counted_by_reason(plan: CampaignPlan) -> None
 def test_findings_few_shots_give_no_verdict(plan: CampaignPlan, keep: int) -> None:
     found = findings(plan, campaign_shots(plan, Truth(), 8)[:keep])
     assert findings_record(found)["shots"] == keep
-    assert not found.verdicts[0][0].resolved
+    assert not found.sections[0].verdicts[0].resolved
 
 
 def test_findings_shots_without_scatter_give_exact_difference(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=3))
     found = findings(small, campaign_shots(small, Truth(sd=0.0, block=0.0, difference=1.0), 9))
-    assert found.sections[0].confirmatory is not None
-    assert found.sections[0].confirmatory.pairs[0].difference == pytest.approx(1.0)
+    assert found.sections[0].analysis.confirmatory is not None
+    assert found.sections[0].analysis.confirmatory.pairs[0].difference == pytest.approx(1.0)
 
 
 def test_decide_follows_stopping_rule(plan: CampaignPlan) -> None:

@@ -406,7 +406,7 @@ def test_shipped_plans_simulated_run_finishes_and_renders_report(name: str, tmp_
     assert outcome.state is CampaignState.FINISHED, outcome.reason
     found = findings(plan, record.shots)
     assert found.by_status["valid"] >= len(all_trials(plan))
-    assert all(found.verdicts)
+    assert all(section.verdicts for section in found.sections)
     assert escape(entry.title) in render_campaign_report(record, found)
 
 

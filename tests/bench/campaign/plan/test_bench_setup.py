@@ -30,7 +30,6 @@ from bench.campaign.plan.bench_setup import (
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
-from bench.campaign.plan.prompts import PromptKind, balls_of, places, require_count
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
 from bench.campaign.report.preview import preview_record, show_preview
 from bench.campaign.run.campaign_control import answer
@@ -45,7 +44,7 @@ from bench.records.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignState, Hit, Prompt
+from bench.store.records import CampaignState, Hit, Prompt, PromptKind, places
 from tests.bench.campaign.run.test_runner import NOW, Scripted
 
 CONFIGURATION = load_configuration(Path("shipped"))
@@ -352,7 +351,7 @@ def test_load_lists_match_prompts_of_run(make: Callable[..., Series]) -> None:
     plan = ten_shots(magazine=4)
     series = make(plan)
     series.run(Rig(), Person())
-    asked = [balls_of(prompt) for prompt in series.prompts]
+    asked = [prompt.balls for prompt in series.prompts]
     loads = load_lists(plan, {})
     assert [load.balls for load in loads] == asked
     assert [load.before.role for load in loads][:2] == [Role.WARM_UP, Role.TEST] or not plan.warm_up.at_most
@@ -393,7 +392,7 @@ def test_answer_wrong_ball_count_is_refused(make: Callable[..., Series], count: 
 
 def test_require_count_club_prompt_is_refused() -> None:
     with pytest.raises(Refused, match="Answer without a number"):
-        require_count(Prompt(1, 2, "club", "Mount club iron.", {"club": "iron"}, NOW), 1)
+        Prompt(1, 2, "club", "Mount club iron.", {"club": "iron"}, NOW).require_count(1)
 
 
 def test_fitting_after_follows_prompts_and_shots() -> None:
