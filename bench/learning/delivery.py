@@ -13,8 +13,9 @@ from scipy.optimize import brentq
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
+from bench.records.shot.recorded_shot import delivery_in_motion
 from bench.simulation.series import Bench
-from sim.impact import Delivery, delivery_from_plane, face_axes, face_gap, impact_parameters
+from sim.impact import Delivery, face_axes, face_gap, impact_parameters
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
 
@@ -147,19 +148,8 @@ def delivery_from_encoders(cycles: Cycles, plant: PlantParameters, plan: Array) 
 
     if not gap(_SEARCHED[0]) > 0.0 > gap(_SEARCHED[1]):
         return None
-    contact, step = float(brentq(gap, *_SEARCHED)), 1e-6
-    motion = (pose(contact + step) - pose(contact - step)) / (2 * step)
-    try:
-        return delivery_from_plane(
-            tuple(pose(contact)),
-            tuple(motion),
-            (site.ball_x, site.ball_y),
-            robot.club,
-            robot.lie,
-            "encoders+model",
-        )
-    except ValueError:
-        return None
+    contact = float(brentq(gap, *_SEARCHED))
+    return delivery_in_motion(plant, lambda time: pose(contact + time))
 
 
 def _beside(

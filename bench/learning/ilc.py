@@ -169,11 +169,9 @@ class Learner:
         """Weights of the next swing."""
 
     def _rows(self, figures: Four, path: float) -> Array:
-        """Return the vector with `figures` for each delivery value and `path` for each sample of the path."""
         return np.concatenate([figures, np.full(self._plan.size, self._path_factor * path)])
 
     def _error(self, figures: Array, path: Array) -> Array:
-        """Return the errors of figures and path, in the units of the cost."""
         return np.concatenate([self.error(figures), self._path_factor * (path - self._plan).ravel()])
 
     @property
@@ -260,7 +258,6 @@ class Learner:
         return bool(known.size and np.abs(known).max() <= share)
 
     def _mean(self, number: int) -> Array:
-        """Return the mean error (4,) of the swings comparable to swing `number`."""
         errors = [self._errors[k][:4] for k in self._alike(number)]
         return np.asarray(np.mean(errors, axis=0))
 

@@ -82,14 +82,10 @@ class CampaignStore:
         Raises:
             Refused: the id exists already.
         """
-        values = asdict(entry) | Standing(CampaignState.RUNNING, "", "")._asdict()
-
-        def work(connection: Connection) -> None:
-            last = connection.scalar(select(func.max(CAMPAIGNS.c.number))) or 0
-            connection.execute(insert(CAMPAIGNS).values(values | {"number": last + 1}))
-
+        standing = Standing(CampaignState.RUNNING, "", "")._asdict()
+        values = asdict(entry) | standing | {"number": _next(CAMPAIGNS.c.number)}
         try:
-            self._write(work)
+            self._execute(insert(CAMPAIGNS).values(values))
         except IntegrityError:
             raise Refused(
                 f"campaign {entry.id}", "the id exists already", "a new id", "Start it again in a second."
@@ -181,14 +177,9 @@ class CampaignStore:
         self, campaign: str, by: str, began: datetime, versions: Mapping[str, Any], facts: Mapping[str, Any]
     ) -> None:
         """Add a run."""
-        c = RUNS.c
-
-        def work(connection: Connection) -> None:
-            last = connection.scalar(select(func.max(c.number)).where(c.campaign == campaign)) or 0
-            row = CampaignRun(last + 1, began, by, versions, facts)
-            connection.execute(insert(RUNS).values(campaign=campaign, **row._asdict()))
-
-        self._write(work)
+        row = CampaignRun(0, began, by, versions, facts)._asdict()
+        row |= {"campaign": campaign, "number": _next(RUNS.c.number, RUNS.c.campaign == campaign)}
+        self._execute(insert(RUNS).values(row))
 
     def runs(self, campaign: str) -> list[CampaignRun]:
         """Return its runs in order."""
@@ -257,7 +248,7 @@ class CampaignStore:
         mine = (c.campaign == campaign) & (c.number == number) & c.answered.is_(None)
 
         def work(connection: Connection) -> bool:
-            values = {"answered": date, "by": by, "answer": _next_answer(connection)}
+            values = {"answered": date, "by": by, "answer": _next(PROMPTS.c.answer)}
             return bool(connection.execute(update(PROMPTS).where(mine).values(values)).rowcount)
 
         return self._write(work)
@@ -325,7 +316,7 @@ class CampaignStore:
             if found:
                 connection.execute(insert(EVENTS), found)
             if asked:
-                first = _next_answer(connection)
+                first: int = connection.execute(select(_next(PROMPTS.c.answer))).scalar_one()
                 numbered = [row | {"answer": order} for order, row in enumerate(asked, first)]
                 connection.execute(insert(PROMPTS), numbered)
             for hit, number in (hits or {}).items():
@@ -345,7 +336,6 @@ class CampaignStore:
         return [record(*row) for row in self._found(query.order_by(*(c[name] for name in order)))]
 
     def _found(self, query: Executable) -> Sequence[Any]:
-        """Return the rows of `query`."""
         return self._read(lambda connection: connection.execute(query).all())
 
     def _read(self, work: Callable[[Connection], _Answer]) -> _Answer:
@@ -387,7 +377,6 @@ class CampaignStore:
         return self.waiting is not None and is_away(error)
 
     def _execute(self, *statements: Executable) -> None:
-        """Execute `statements` in one transaction, once."""
 
         def work(connection: Connection) -> None:
             for statement in statements:
@@ -396,7 +385,6 @@ class CampaignStore:
         self._write(work)
 
     def _is_stored(self, connection: Connection) -> bool:
-        """Return whether the present write is in the database."""
         query = select(WRITERS.c.writes).where(WRITERS.c.id == self._writer)
         return connection.scalar(query) == self._writes
 
@@ -426,8 +414,9 @@ def _excluded_by_hand() -> Select[str, int]:
     return query.group_by(c.campaign)
 
 
-def _next_answer(connection: Connection) -> int:
-    return (connection.scalar(select(func.max(PROMPTS.c.answer))) or 0) + 1
+def _next(column: Any, *where: Any) -> Any:
+    """Return the query for the number that follows the largest one in `column`."""
+    return select(func.coalesce(func.max(column), 0) + 1).where(*where).scalar_subquery()
 
 
 def _count(connection: Connection, scope: str, hit: Hit, number: int) -> None:

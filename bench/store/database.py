@@ -400,7 +400,6 @@ def _read_only_url(file: Path) -> URL:
 
 
 def _log_of(file: Path) -> Path:
-    """Return the write-ahead log of SQLite's `file`."""
     return file.with_name(f"{file.name}-wal")
 
 
@@ -425,7 +424,6 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 def _make_tables(engine: Engine, location: str, now: datetime) -> None:
-    """Make the tables of an empty database; refuse one of another version."""
     with engine.connect() as connection:
         if _has_tables(connection, location):
             return

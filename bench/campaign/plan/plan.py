@@ -130,13 +130,6 @@ class SupplyRequirement:
 
 
 @dataclass(frozen=True)
-class AirSettings:
-    """The air at a running bench; a simulated one has the configured air."""
-
-    valid_for: Annotated[float, Range(0.0, 1e6, "s")]
-
-
-@dataclass(frozen=True)
 class HandWork:
     """Time that work by hand takes, for the expected duration."""
 
@@ -274,9 +267,6 @@ class Simulation:
     carry: Annotated[float, Range(0.0, 50.0, "m")]
     drift: Annotated[float, Range(-0.1, 0.1, "")]
     wear: Annotated[float, Range(0.0, 10.0, "")]
-    launch_missing: Annotated[float, Range(0.0, 1.0, "")]
-    launch_misread: Annotated[float, Range(0.0, 1.0, "")]
-    launch_double: Annotated[float, Range(0.0, 1.0, "")]
     missing_launch: tuple[int, ...]
     missed_ball: tuple[int, ...]
     feeder_jam: tuple[int, ...]
@@ -294,7 +284,6 @@ class CampaignPlan:
     ball_handling: BallHandling
     learning: Learning
     supply: SupplyRequirement
-    air: AirSettings
     interruption: InterruptionSettings
     hand_work: HandWork
     gate: Gate

@@ -207,7 +207,6 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
 
 
 def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
-    """Yield the mistakes of the stopping rule."""
     stop, d = plan.stop, plan.design
     if stop.rule != "fixed" and stop.min_blocks > d.blocks:
         wanted = f"up to design.blocks, {d.blocks}"
@@ -243,7 +242,6 @@ def _split(plan: CampaignPlan) -> Iterator[Mistake]:
 
 
 def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
-    """Yield an error for each unknown rule, and for each stated uncertainty of an unknown quantity."""
     for name in plan.rules.apply:
         if name not in rule_names():
             wanted = f"one of {', '.join(rule_names())}"
@@ -258,7 +256,6 @@ def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
 
 
 def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
-    """Yield an error for each unknown item or quantity, and each invalid date."""
     known = (*plan.ball_names, *plan.design.clubs)
     dates: dict[str, str] = {}
     for name, item in plan.items.items():

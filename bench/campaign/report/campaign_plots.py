@@ -188,7 +188,6 @@ def _draw_pairs(
     units: UnitSystem,
     many: bool,
 ) -> None:
-    """Draw two `columns` of the valid shots of each level against each other."""
     shown = {column: display_unit(column, units) for column in columns}
     for index, (_, mine) in enumerate(by_level):
         valid = [shot for shot in mine if shot.status is ShotStatus.VALID]
@@ -399,7 +398,6 @@ def _drift(
 
 
 def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
-    """The delivery over the campaign: valid and other shots."""
     figure = styled(2.4)
     grid: np.ndarray[Any, Any] = figure.subplots(2, 2, sharex=True)
     keys = list(dict.fromkeys((s.swing, s.club) for s in shots))
@@ -468,7 +466,6 @@ def _control(charts: Sequence[ControlChart], units: UnitSystem, picture: str) ->
 
 
 def _mark_signals(axes: Axes, chart: ControlChart, values: Mapping[int, float]) -> None:
-    """Ring the shots that end a pattern and number their rules."""
     rules: dict[int, list[str]] = {}
     for signal in chart.signals:
         for shot in signal.shots:

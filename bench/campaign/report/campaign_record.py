@@ -39,18 +39,11 @@ NO_DATA = frozenset({"look", "issue"})
 
 
 def _digest(value: Any) -> str:
-    return sha256(_text(value).encode()).hexdigest()
-
-
-def _text(value: Any) -> str:
-    """Return JSON that is the same for the same values, figures with all their digits."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_plain)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, datetime):
-        return value.isoformat()
-    raise TypeError(f"{type(value).__name__} has no digest")
+    """Return the digest of JSON that is the same for the same values, figures with all their digits."""
+    text = json.dumps(
+        value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=datetime.isoformat
+    )
+    return sha256(text.encode()).hexdigest()
 
 
 MAX_REASON_LENGTH = 500

@@ -171,7 +171,6 @@ def render_campaign_report(
 
 
 def _signed_part(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[str, Any]:
-    """Return the variables of the part that is signed."""
     digests, calibrations = record_digests(record), calibration_table(record)
     budgets = uncertainty_budgets(
         record.plan, record.shots, record.entry.calibrations, simulated=record.entry.simulated
@@ -284,7 +283,6 @@ def _listed(record: CampaignRecord, found: Findings) -> list[Shot]:
 
 
 def _notes(notes: Sequence[ShotNote]) -> dict[int, str]:
-    """Return the marks and comments by shot."""
     found: dict[int, list[str]] = {}
     for note in notes:
         found.setdefault(note.shot, []).append(f"{note.text or 'marked'} ({note.by})")
@@ -332,7 +330,6 @@ def _ranked(found: SectionFindings) -> list[tuple[Level, RankedLevel | None]]:
 
 
 def _roles(shots: Sequence[Shot]) -> str:
-    """Return the number of `shots` in each role; empty with one role."""
     count = Counter(shot.role for shot in shots).most_common()
     return ", ".join(f"{number} {role}" for role, number in count) if len(count) > 1 else ""
 
@@ -394,7 +391,6 @@ def air_words(shots: Sequence[Shot], units: UnitSystem) -> str:
 
 
 def _conditioned(record: CampaignRecord) -> str:
-    """Return who confirmed the conditioning of the balls."""
     people = dict.fromkeys(p.by for p in record.prompts if p.kind == PromptKind.BALLS and p.by)
     if record.entry.simulated:
         return "as planned; simulated balls have no temperature"
@@ -413,7 +409,6 @@ def _handwork(prompts: Sequence[Prompt]) -> list[str]:
 
 
 def _standing_words(standing: Standing) -> str:
-    """Return a notice if the campaign is incomplete."""
     if standing.state is CampaignState.FINISHED:
         return f"Ended early by its own rule: {standing.reason}." if standing.reason else ""
     reason = f" ({standing.reason})" if standing.reason else ""

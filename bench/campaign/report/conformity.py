@@ -143,7 +143,6 @@ def _finding(
     groups: dict[str, list[Shot]],
     units: UnitSystem,
 ) -> RuleFinding:
-    """Return the finding on one level, or on the difference of several."""
     value = uncertainty = coverage = None
     decision, reason = Decision.NOT_JUDGED, ""
     try:
@@ -277,7 +276,6 @@ def _combined(plan: CampaignPlan, rule: RuleSet, means: Sequence[_Mean]) -> tupl
 
 
 def _reservation(rule: RuleSet, day: date, means: dict[str, _Mean]) -> str:
-    """Return what limits a decision in words; empty if nothing does."""
     words = []
     if not rule.in_force(day):
         words.append(f"Not in force on {day}: {rule.begins} to {rule.ends}")

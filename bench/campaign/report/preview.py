@@ -172,7 +172,6 @@ def show_preview(
 
 
 def _load_table(plan: CampaignPlan, loads: Sequence[LoadList], *, everything: bool) -> Table:
-    """Return the load lists of the magazine: which ball goes to which place."""
     title = f"Load lists: a magazine of {plan.ball_handling.magazine}, the first ball to be hit at place 1"
     table = Table("load", "before", "place and ball", title=title, title_justify="left")
     for number, load in enumerate(loads, 1):

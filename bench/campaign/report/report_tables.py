@@ -190,7 +190,6 @@ def _joined(*parts: str) -> str:
 
 
 def _sds(record: CampaignRecord) -> str:
-    """Return the stated deviations, and where the others stand."""
     stated = list(record.plan.report.deviations)
     excluded = sum(shot.status is not ShotStatus.VALID for shot in record.shots)
     events = sum(event.kind not in {ISSUE, "look"} for event in record.events)

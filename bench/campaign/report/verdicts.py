@@ -172,7 +172,6 @@ def _all_pairs(
 
 
 def _longer(pairs: Sequence[Pair]) -> str:
-    """Return the pairs that differ, the higher level first."""
     apart = [pair for pair in pairs if pair.verdict in {"different", "both"}]
     ordered = [(p.first, p.second) if p.difference > 0.0 else (p.second, p.first) for p in apart]
     return ", ".join(f"{higher} > {lower}" for higher, lower in ordered)
@@ -297,7 +296,6 @@ def _margin(plan: CampaignPlan, unit: DisplayUnit) -> str:
 
 
 def _size_in(size: float, unit: DisplayUnit) -> str:
-    """Return a size of the plan with its unit."""
     return f"{unit.of(size):.4g} {unit.unit}" if unit.size != 1 else f"{size:g} {unit.unit}"
 
 

@@ -69,12 +69,13 @@ def verify_page(record: CampaignRecord, page: str, place: str) -> Verification:
     issues = {id(event) for event in record.issues[issued:]}
     then = replace(record, events=[event for event in record.events if id(event) not in issues])
     found = findings(record.plan, record.shots, data["looks"], units)
-    figures = json.loads(json.dumps(findings_record(found)))
-    differences += _first(list(_changed(data["figures"], figures, "")))
+    figures = dict(_figures(json.loads(json.dumps(findings_record(found)))))
+    differences += _first(list(_changed(dict(_figures(data["figures"])), figures)))
     today = bool(data["software"] == software_versions()["source"])
     if today and _TODAY.sub("", page) != _TODAY.sub("", render_campaign_report(then, found, units)):
         differences.append("page: not the one that the records give")
-    return Verification(digests.whole, _leaves(figures), today, tuple(differences))
+    count = sum(isinstance(one, float | int) and not isinstance(one, bool) for one in figures.values())
+    return Verification(digests.whole, count, today, tuple(differences))
 
 
 def _changes_after(record: CampaignRecord, issued: int) -> Iterator[str]:
@@ -106,7 +107,6 @@ def missing_records(stored: Sequence[StoredShot], data_dir: Path) -> list[str]:
 
 
 def _embedded(record: CampaignRecord, page: str, place: str) -> Mapping[str, Any]:
-    """Return the data that `page` carries."""
     match = _DATA.search(page)
     action = "Write the report again: golfbench campaign report ID."
     try:
@@ -132,7 +132,6 @@ def _digests(data: Mapping[str, Any], found: Digests, page: str) -> Iterator[str
 
 
 def _shots(record: CampaignRecord, digests: Sequence[str], reported: str) -> list[str]:
-    """Return which shots differ from the reported ones."""
     then = [reported[at : at + SHOT_DIGITS] for at in range(0, len(reported), SHOT_DIGITS)]
     found = [
         f"shot {shot.shot}: not as reported"
@@ -144,34 +143,23 @@ def _shots(record: CampaignRecord, digests: Sequence[str], reported: str) -> lis
     return _first(found)
 
 
-def _changed(before: Any, now: Any, path: str) -> Iterator[str]:
-    """Yield the figures that differ, with their path."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted(before.keys() | now.keys()):
-            yield from _changed(before.get(key), now.get(key), f"{path}.{key}" if path else key)
-    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        for place, (one, two) in enumerate(zip(before, now, strict=True)):
-            yield from _changed(one, two, f"{path}.{place}")
-    elif isinstance(before, float | int) and isinstance(now, float | int):
-        if not isclose(before, now, rel_tol=_TOLERANCE, abs_tol=1e-12):
-            yield f"{path}: {before:.10g} in the report, {now:.10g} by the records"
-    elif before != now:
-        yield f"{path}: {_short(before)} in the report, {_short(now)} by the records"
+def _figures(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    if not isinstance(value, dict | list):
+        yield path, value
+        return
+    for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from _figures(inner, f"{path}.{key}" if path else str(key))
 
 
-def _short(value: Any) -> str:
-    if isinstance(value, dict | list):
-        return f"{len(value)} entries"
-    return "nothing" if value is None else str(value)
-
-
-def _leaves(value: Any) -> int:
-    """Return the number of figures in `value`."""
-    if isinstance(value, dict):
-        return sum(map(_leaves, value.values()))
-    if isinstance(value, list):
-        return sum(map(_leaves, value))
-    return int(isinstance(value, float | int) and not isinstance(value, bool))
+def _changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
+    for path in sorted(before.keys() | now.keys()):
+        one, two = before.get(path), now.get(path)
+        if isinstance(one, float | int) and isinstance(two, float | int):
+            if not isclose(one, two, rel_tol=_TOLERANCE, abs_tol=1e-12):
+                yield f"{path}: {one:.10g} in the report, {two:.10g} by the records"
+        elif one != two:
+            then, found = ("nothing" if value is None else value for value in (one, two))
+            yield f"{path}: {then} in the report, {found} by the records"
 
 
 def _first(found: Sequence[str]) -> list[str]:

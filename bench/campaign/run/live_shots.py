@@ -349,7 +349,6 @@ class LiveShots(ShotSource):
         self._events.append(("practice", "a swing without a ball, as the bench was re-armed"))
 
     def _ball_as_hit(self, step: Step, number: int, sample: int) -> Ball:
-        """Return the ball of the shot as the simulation has it."""
         draw = float(random_of(self._plan, number).standard_normal(6)[0])
         return ball_as_hit(self._plan, step.trial.arm.ball, sample, number, draw)
 
@@ -363,7 +362,6 @@ class LiveShots(ShotSource):
         return True
 
     def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
-        """Return a failed shot: no swing, or no record of it."""
         shot = shot_row(step, number, sample, datetime.now(UTC), ShotStatus.FAILED, none.found)
         return Taken(shot, None, {}, none.swung, tuple(self._events))
 
@@ -375,7 +373,6 @@ class LiveShots(ShotSource):
         record: SwingRecord,
         message: ShotPublication | None,
     ) -> Taken:
-        """Return the shot of the swing in `record`."""
         metadata, cycles = record.metadata, record.cycles
         plant, around = plant_of(metadata, str(record.path))
         plant = self._with_planned_club(plant, step.trial.arm.club)

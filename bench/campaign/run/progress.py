@@ -168,7 +168,6 @@ class CampaignProgress(Watcher):
         return self._plan.design.seconds_per_shot if self._entry.real_time else None
 
     def _hand_work_left(self) -> float:
-        """Return the time that the club changes to come take, s."""
         if not self._by_hand:
             return 0.0
         coming = list(self._open.values())
@@ -182,7 +181,6 @@ class CampaignProgress(Watcher):
         return bool(self._entry.real_time) and not self._entry.simulated
 
     def _next_work(self) -> dict[str, Any] | None:
-        """Return the next work by hand, and the number of shots before it."""
         if not self._by_hand:
             return None
         found: list[tuple[int, str]] = []
@@ -201,7 +199,6 @@ class CampaignProgress(Watcher):
 
 
 def _trial_of(shot: Shot) -> PlannedShot:
-    """Return the planned shot that `shot` was."""
     arm = Arm(shot.swing, shot.club, shot.ball)
     return PlannedShot(Role(shot.role), shot.section, shot.block, shot.position, arm)
 

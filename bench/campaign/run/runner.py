@@ -64,8 +64,6 @@ class RunOutcome(NamedTuple):
 
 
 class _RunEnd(Exception):
-    """The run ends before its plan does."""
-
     def __init__(self, state: CampaignState, reason: str) -> None:
         super().__init__(reason)
         self.state, self.reason = state, reason
@@ -170,11 +168,9 @@ class Runner:
         self._alive.touch()
 
     def _note_event(self, kind: str, text: str) -> None:
-        """Store an interruption at once, with its time."""
         self._store.note_event(self._entry.id, Event(datetime.now(UTC), self.taken + 1, kind, text))
 
     def _report(self, kind: str, text: str) -> None:
-        """Store and show an interruption."""
         self._note_event(kind, text)
         self._watcher.say(text)
 
@@ -229,7 +225,6 @@ class Runner:
                 self._fitting = self._fitting.with_done(prompt)
 
     def _require_same(self, step: Step, shot: Shot) -> None:
-        """Refuse to continue if the stored shot is not the planned one."""
         trial = step.trial
         planned = (trial.role, trial.block, trial.position, trial.arm.swing, trial.arm.club, trial.arm.ball)
         stored = (shot.role, shot.block, shot.position, shot.swing, shot.club, shot.ball)
@@ -371,7 +366,6 @@ class Runner:
             self._stand(CampaignState.RUNNING, "")
 
     def _fit(self, step: Step, number: int, sample: int) -> None:
-        """Prompt the operator for the work before the shot."""
         while wish := missing(
             self._plan, self._fitting, step, sample, self._hits
         ) or self._source.required_restart(step):
@@ -447,7 +441,6 @@ class Runner:
         self._watcher.standing(state, reason)
 
     def _wait_for_hindrance(self, step: Step) -> None:
-        """Suspend during a temporary hindrance."""
         if (first := self._source.hindrance(step)) is None:
             return
         self._commit()
@@ -517,7 +510,6 @@ class Runner:
                     return
 
     def _gated(self, step: Step, taken: Taken) -> Shot:
-        """Return the shot, excluded if its delivery is not valid."""
         shot = taken.shot
         if shot.status is ShotStatus.VALID:
             club = self._plan.clubs[step.trial.arm.club]
@@ -584,7 +576,6 @@ class Runner:
 
 
 def _used(step: Step, taken: Taken, sample: int) -> list[Hit]:
-    """Return the uses of the shot's ball, club and valves."""
     arm = step.trial.arm
     valves = [Hit("valve", name) for name in ACTUATORS] if taken.cycles is not None else []
     struck = [Hit("ball", arm.ball, sample), Hit("club", arm.club)] if taken.struck else []

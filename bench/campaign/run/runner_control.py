@@ -46,6 +46,8 @@ from sim.ball import Air
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
 """Facts of the running bench that a mere restart does not change."""
+_AIR_VALID = timedelta(hours=1)
+"""Validity of a reading of the air."""
 CANNOT_CHANGE_A_SHOT = (
     *("files", "bench.data_dir", "bench.database", "loop.priority", "loop.cpu", "network", "notifications"),
     *("launch_monitor.address", "launch_monitor.port", "launch_monitor.clients", "launch_monitor.simulator"),
@@ -146,7 +148,7 @@ def run_campaign(
             client = stack.enter_context(BenchClient.connect(configuration))
             publish = stack.enter_context(client.publish_campaign(entry.id))
             watcher = Watcher(watcher, CampaignProgress(entry, plan, publish))
-            air = partial(_air_now, entry, plan, store)
+            air = partial(_air_now, entry, store)
             for warning in _warnings(plan, profiles, entry, store, client.status(), air()):
                 watcher.say(warning)
             source = stack.enter_context(
@@ -169,10 +171,9 @@ def run_campaign(
         return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 
-def _air_now(entry: CampaignEntry, plan: CampaignPlan, store: CampaignStore) -> Air | None:
+def _air_now(entry: CampaignEntry, store: CampaignStore) -> Air | None:
     """Return the air at the bench by its newest reading, None if that is too old."""
-    since = datetime.now(UTC) - timedelta(seconds=plan.air.valid_for)
-    reading = store.newest_air(entry.bench, since)
+    reading = store.newest_air(entry.bench, datetime.now(UTC) - _AIR_VALID)
     return None if reading is None else reading.air
 
 

@@ -128,17 +128,13 @@ class SimulatedShots(ShotSource):
         self._plan, self._configuration, self._stop = plan, configuration, stop
         self._measured = measured or {}
         self._swings = swings
-        s = plan.simulation
         self._monitor = MonitorParameters(
             speed_noise=0.0,
             angle_noise=0.0,
             spin_noise=0.0,
             axis_noise=0.0,
             carry_noise=0.0,
-            missing=s.launch_missing,
-            misread=s.launch_misread,
-            double=s.launch_double,
-            dropped=s.missing_launch,
+            dropped=plan.simulation.missing_launch,
             seed=plan.design.seed,
         )
         self._armed: dict[tuple[str, str], tuple[ArmedBench, dict[str, Any]]] = {}

@@ -233,8 +233,6 @@ _Fit = tuple[BlockFit, list[Shot]]
 
 
 class _Data(NamedTuple):
-    """Shots of one model as arrays."""
-
     shots: list[Shot]
     y: Array
     level: Codes
@@ -255,7 +253,6 @@ class _Data(NamedTuple):
 
 
 def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -> _Data:
-    """Return the shots of a model; `controls` are a separate last level."""
     names, wanted = levels(plan), plan.analysis.covariates
     every, values = values_of(plan, [*tests, *controls])
     delivered = [[getattr(s, name) for name in wanted] for s in every]
@@ -343,7 +340,6 @@ def _sds(
 
 
 def _explained(plan: CampaignPlan, data: _Data, fit: BlockFit, count: int) -> Covariates | None:
-    """Return the effect of the covariates; None without any."""
     if data.delivery is None:
         return None
     without = fit_blocks(data.y, data.level, data.block, count, data.time)

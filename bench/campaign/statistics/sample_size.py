@@ -13,6 +13,7 @@ shots: many hits of one ball do not replace balls of its model.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, lru_cache
@@ -70,14 +71,7 @@ def blocks_needed(chance: Callable[[int], float], power: float) -> int | None:
         high *= 2
         if high > _MAX_BLOCKS:
             return None
-    low = max(2, high // 2)
-    while low < high:
-        middle = (low + high) // 2
-        if chance(middle) < power:
-            low = middle + 1
-        else:
-            high = middle
-    return high
+    return bisect_left(range(high), power, lo=max(2, high // 2), key=chance)
 
 
 _POINTS = 201

@@ -316,7 +316,7 @@ def air(
 ) -> None:
     """Enter a reading of the air at the bench, or show the newest one.
 
-    Shots on hardware use it from then on, for as long as the plan allows ([air] valid_for).
+    Shots on hardware use it for one hour.
     """
     from bench.store.records import AirReading
     from sim.ball import Air

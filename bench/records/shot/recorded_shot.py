@@ -7,7 +7,7 @@ delivery is that of the estimated angles, and models compute launch and flight, 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from math import pi, radians
@@ -201,19 +201,20 @@ def delivery_of_cycles(cycles: Cycles, plant: PlantParameters) -> Delivery | Non
     last = int(np.searchsorted(cycles["time"], at_ball)) - 1
     angle, velocity = cycles["angle"][last], cycles["velocity"][last]
     ahead = angle + (at_ball - cycles["time"][last]) * velocity
-    step = 1e-6
-    motion = (
-        forward_kinematics(robot, ahead + step * velocity)
-        - forward_kinematics(robot, ahead - step * velocity)
-    ) / (2 * step)
+    return delivery_in_motion(plant, lambda time: forward_kinematics(robot, ahead + time * velocity))
+
+
+def delivery_in_motion(plant: PlantParameters, pose: Callable[[float], Any]) -> Delivery | None:
+    """Return the delivery at time 0 of a head whose `pose` (x, y, angle) follows the time (s).
+
+    None if it does not come to the ball.
+    """
+    step, site, robot = 1e-6, plant.site, plant.robot
+    motion = (pose(step) - pose(-step)) / (2 * step)
+    ball = site.ball_x, site.ball_y
     try:
         return delivery_from_plane(
-            tuple(forward_kinematics(robot, ahead)),
-            tuple(motion),
-            (site.ball_x, site.ball_y),
-            robot.club,
-            robot.lie,
-            "encoders+model",
+            tuple(pose(0.0)), tuple(motion), ball, robot.club, robot.lie, "encoders+model"
         )
     except ValueError:
         return None

@@ -198,7 +198,6 @@ _FORMULA = re.compile("'*[=+\\-@\t\r]")
 
 
 def _to_cell(value: object) -> str:
-    """Return `value` as the text of a cell."""
     if value is None:
         return ""
     if isinstance(value, datetime):

@@ -103,7 +103,6 @@ class SwingWatch:
         return ended
 
     def _end(self, parts: list[Cycles]) -> FinishedSwing:
-        """Return the swing of `parts`, which is over."""
         # As bytes: numpy joins records field by field.
         whole = np.concatenate([part.view(np.uint8) for part in parts]).view(parts[0].dtype)
         behind = np.repeat(self._behind, [len(part) for part in parts])

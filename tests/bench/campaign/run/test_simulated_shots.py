@@ -87,13 +87,10 @@ def test_simulated_shots_planned_faults_set_status_and_reason(
 def test_simulated_shots_monitor_faults_exclude_shot(
     plan: CampaignPlan, configuration: Configuration
 ) -> None:
-    faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=())
-    source = SimulatedShots(
-        replace(plan, simulation=faulty),
-        configuration,
-        AsDesigned(require_swings(plan, configuration)),
-        never,
-    )
+    profiles = AsDesigned(require_swings(plan, configuration))
+    clear = replace(plan, simulation=replace(plan.simulation, missing_launch=()))
+    source = SimulatedShots(clear, configuration, profiles, never)
+    source._monitor = replace(source._monitor, misread=1.0)
     misread = _take(source, plan, 6)
     assert misread.shot.status is ShotStatus.EXCLUDED
     assert misread.shot.reason
