@@ -9,12 +9,11 @@ from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from bench.store.records import CampaignRun, CampaignState, Standing
 
 PACKAGES = ("golfbench", "numpy", "numba", "scipy", "filterpy", "sqlalchemy")
-"""Packages whose versions are recorded."""
 
 
 _TOP = Path(__file__).parents[2]
@@ -22,15 +21,6 @@ _TOP = Path(__file__).parents[2]
 
 _MAX_CHANGES = 5
 """Max number of changed values in a line."""
-
-
-class RunStart(NamedTuple):
-    """Start of a run: its operator, software and bench."""
-
-    by: str = ""
-    versions: Mapping[str, Any] = {}
-    facts: Mapping[str, Any] = {}
-    """Facts of the running bench, and the digest of the configuration."""
 
 
 @cache
@@ -57,15 +47,15 @@ def found_at_begin(
     runs: list[CampaignRun],
     shots: int,
     seen: datetime | None,
-    start: RunStart,
-    now: datetime,
+    start: CampaignRun,
 ) -> Iterator[tuple[str, str]]:
-    """Yield (kind, text) of the events at the start of a run that follows `runs` and `shots` shots.
+    """Yield (kind, text) of the events at the `start` of a run that follows `runs` and `shots` shots.
 
     `seen` is the last sign of life of the previous run, None if unknown.
     """
     if not runs and not shots:
         return
+    now = start.began
     who = f" by {start.by}" if start.by else ""
     since = "" if seen is None else f", {_gap(now - seen)} after its last sign of life at {_clock(seen, now)}"
     if standing.state in {CampaignState.RUNNING, CampaignState.WAITING}:

@@ -173,13 +173,10 @@ class CampaignStore:
 
         self._write(work)
 
-    def begin_run(
-        self, campaign: str, by: str, began: datetime, versions: Mapping[str, Any], facts: Mapping[str, Any]
-    ) -> None:
-        """Add a run."""
-        row = CampaignRun(0, began, by, versions, facts)._asdict()
-        row |= {"campaign": campaign, "number": _next(RUNS.c.number, RUNS.c.campaign == campaign)}
-        self._execute(insert(RUNS).values(row))
+    def begin_run(self, campaign: str, run: CampaignRun) -> None:
+        """Add a run, numbered as the next one."""
+        number = _next(RUNS.c.number, RUNS.c.campaign == campaign)
+        self._execute(insert(RUNS).values(run._asdict() | {"campaign": campaign, "number": number}))
 
     def runs(self, campaign: str) -> list[CampaignRun]:
         """Return its runs in order."""

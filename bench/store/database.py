@@ -80,7 +80,6 @@ class UtcTime(TypeDecorator[datetime]):
 
 
 METADATA = MetaData()
-"""All tables."""
 
 SCHEMA = Table(
     "schema_version",
@@ -183,7 +182,6 @@ AIR_READINGS = _append_only("air_readings", AirReading)
 BALL_AERODYNAMICS = _append_only("ball_aerodynamics", BallAerodynamicsRow, "bench", "ball")
 
 SCHEMA_VERSION = 14
-"""Version of the tables."""
 
 
 BUSY_TIMEOUT = 5.0

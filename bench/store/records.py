@@ -21,7 +21,6 @@ class CampaignState(StrEnum):
     """Stored until its runner ends it; `bench.campaign.run.campaign_control.standing_now` finds a dead
     one."""
     WAITING = "waiting"
-    """Waiting for the answer to a prompt."""
     PAUSED = "paused"
     SUSPENDED = "suspended"
     """Suspended by its runner, for a reason that a person must clear."""
@@ -45,7 +44,6 @@ def amendment(campaign: str) -> str:
 
 
 ENDED = frozenset({CampaignState.ABORTED, CampaignState.FINISHED})
-"""Final states."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +96,9 @@ class CampaignRun(NamedTuple):
     number: int
     """Number within its campaign, from 1."""
     began: datetime
-    by: str
-    versions: Mapping[str, Any]
-    facts: Mapping[str, Any]
+    by: str = ""
+    versions: Mapping[str, Any] = {}
+    facts: Mapping[str, Any] = {}
     """Facts of the running bench, and the digest of the configuration."""
 
 

@@ -141,7 +141,7 @@ def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
     fields = ("column", "shots", "values", "centre", "sd")
     return [
         {name: getattr(chart, name) for name in fields}
-        | {"signals": sorted({shot for signal in chart.signals for shot in signal.shots})}
+        | {"signals": sorted({shot for shots in chart.signals.values() for shot in shots})}
         for chart in control_charts(plan, mine)
     ]
 

@@ -20,7 +20,6 @@ from sim.ball import REFERENCE_BALL, Ball
 from sim.flight import Flight, fly
 
 Measured = Mapping[str, AerodynamicsEntry]
-"""Measured aerodynamics by ball."""
 
 
 def measured_of(calibrations: Mapping[str, Any], location: str) -> dict[str, AerodynamicsEntry]:

@@ -298,7 +298,6 @@ class CampaignPlan:
     preparation: dict[str, str] = field(default_factory=dict)
     """Work besides mounting it that a club needs, by club: its site, its tee."""
     items: dict[str, ItemParticulars] = field(default_factory=dict)
-    """Balls and clubs as received."""
     calibrations: dict[str, StatedCalibration] = field(default_factory=dict)
     balls: dict[str, Ball] = field(default_factory=dict)
     clubs: dict[str, Club] = field(default_factory=dict)

@@ -13,7 +13,6 @@ FILE = Path(__file__).with_name("rules.toml")
 
 FOOT = 0.3048
 UNITS_OF_RULES: Mapping[str, float] = {"yd": 0.9144, "ft/s": FOOT}
-"""Units of rules in SI."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,6 @@ class RuleSetUp:
     """Set-up of a rule: means of the control ball and the half widths of their windows."""
 
     ball_speed: float
-    """Ball speed (m/s)."""
     ball_speed_window: float
     launch_angle_deg: float
     launch_angle_window_deg: float

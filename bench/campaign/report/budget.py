@@ -9,7 +9,7 @@ uncertainty holds 95.45 % with Student's factor at the effective degrees of free
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from math import inf, pi, radians, sqrt
 from typing import Any
 
@@ -25,7 +25,6 @@ from sim.ball import Air
 from sim.flight import fly_many
 
 BUDGETED = ("club_speed_mps", "ball_speed_mps", "launch_angle_deg", "carry_m")
-"""Columns with a budget."""
 _STATED_AS = {"launch_angle_deg": "launch_angle"}
 """Quantity of the plan by column."""
 _FLOWN = frozenset({"reference", "measured", "simulated"})
@@ -208,25 +207,14 @@ def flight_slopes(shots: Sequence[Shot]) -> dict[str, float]:
     if not launched:
         return {}
     at = dict(zip(_LAUNCH, np.mean(np.array(launched, dtype=float), axis=0), strict=True))
-    air = Air()
-    for name, fallback in (
-        ("air_temperature_k", air.temperature),
-        ("air_pressure_pa", air.pressure),
-        ("relative_humidity", air.relative_humidity),
-    ):
+    for name, fallback in zip(_AIR, astuple(Air()), strict=True):
         values = [value for shot in shots if (value := getattr(shot, name)) is not None]
         at[name] = float(np.mean(values)) if values else fallback
 
     def carry(point: Mapping[str, float]) -> float:
-        launch = [
-            point["ball_speed_mps"],
-            radians(point["launch_angle"]),
-            0.0,
-            point["spin_rpm"] * pi / 30,
-            0.0,
-        ]
-        around = Air(point["air_temperature_k"], point["air_pressure_pa"], point["relative_humidity"])
-        return float(fly_many(np.array([launch]), around)["carry"][0])
+        angle, spin = radians(point["launch_angle"]), point["spin_rpm"] * pi / 30
+        launch = np.array([[point["ball_speed_mps"], angle, 0.0, spin, 0.0]])
+        return float(fly_many(launch, Air(*(point[name] for name in _AIR)))["carry"][0])
 
     return {
         name: (carry(at | {name: at[name] + step}) - carry(at | {name: at[name] - step})) / (2 * step)

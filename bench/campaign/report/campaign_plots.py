@@ -467,9 +467,9 @@ def _control(charts: Sequence[ControlChart], units: UnitSystem, picture: str) ->
 
 def _mark_signals(axes: Axes, chart: ControlChart, values: Mapping[int, float]) -> None:
     rules: dict[int, list[str]] = {}
-    for signal in chart.signals:
-        for shot in signal.shots:
-            rules.setdefault(shot, []).append(str(signal.rule))
+    for rule, found in chart.signals.items():
+        for shot in found:
+            rules.setdefault(shot, []).append(str(rule))
     shots = sorted(rules)
     axes.plot(
         shots,

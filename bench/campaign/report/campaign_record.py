@@ -47,7 +47,6 @@ def _digest(value: Any) -> str:
 
 
 MAX_REASON_LENGTH = 500
-"""Max number of characters of a reason."""
 
 
 def with_exclusions(shots: Sequence[Shot], exclusions: Sequence[ShotExclusion]) -> list[Shot]:
@@ -148,7 +147,6 @@ class Digests(NamedTuple):
     parts: dict[str, str]
     """Digests of plan, campaign, shots, events, prompts, notes, exclusions."""
     whole: str
-    """Digest of all parts."""
 
 
 def record_digests(record: CampaignRecord) -> Digests:

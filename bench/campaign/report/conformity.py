@@ -60,7 +60,6 @@ class RuleFinding:
     uncertainty: float | None
     """Expanded uncertainty U in the rule's unit; None if not judged."""
     coverage: float | None
-    """Coverage factor of U."""
     decision: Decision
     reason: str
     """Why it was not judged; else what limits the decision, or empty."""

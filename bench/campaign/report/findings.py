@@ -62,7 +62,6 @@ class LevelQuantities:
     control: bool
     """Whether it is the control ball."""
     balls: int
-    """Number of different balls."""
     hits: int
     """Number of shots that hit a ball, valid or not."""
     valid: int
@@ -273,7 +272,6 @@ def _effects(names: Sequence[str], pairs: Sequence[Pair]) -> dict[str, float]:
 
 
 SCHEMA = 5
-"""Version of the JSON."""
 
 
 @dataclass(frozen=True)
@@ -288,7 +286,6 @@ class SectionFindings:
     notes: tuple[str, ...]
     """Sentences: interim looks, covariates, and the benefit of more shots."""
     quantities: tuple[LevelQuantities, ...]
-    """All quantities by level."""
     ranking: tuple[RankedLevel, ...]
     dispersion: tuple[DispersionEllipse, ...]
     control_charts: tuple[ControlChart, ...]
@@ -303,7 +300,6 @@ class Findings:
     sections: tuple[SectionFindings, ...]
     differences: tuple[DifferenceTable, ...]
     repeatability: Mapping[tuple[str, str], Sequence[Repeatability]]
-    """Repeatability of each (swing, club)."""
     rules: tuple[RuleFinding, ...]
     looks: tuple[int, ...] | None = None
     """Numbers of shots after which results were looked at, as they were given."""
@@ -407,7 +403,7 @@ def _section_record(found: SectionFindings) -> dict[str, Any]:
                 "values": len(chart.values),
                 "centre": chart.centre,
                 "sd": chart.sd,
-                "signals": {str(signal.rule): list(signal.shots) for signal in chart.signals},
+                "signals": {str(rule): list(shots) for rule, shots in chart.signals.items()},
             }
             for chart in found.control_charts
         ],

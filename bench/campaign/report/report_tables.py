@@ -9,7 +9,7 @@ sees the gap.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, date, datetime
 from math import degrees
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from bench.golfer.comparison import followed_texts
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import ENDED, CampaignEntry, Event
 from sim.ball import Ball
+from sim.robot import Club
 
 FLIGHT_OF: Mapping[str, str] = {
     "reference": "flown from the measured launch with the reference ball's aerodynamics, all balls alike: it "
@@ -51,60 +52,48 @@ def ball_table(
     plan: CampaignPlan, measured: Measured, *, simulated: bool, units: UnitSystem = UnitSystem.SI
 ) -> EquipmentTable:
     """Return the balls that are hit, with their measured aerodynamics."""
-    head = ["ball", "role"]
-    if simulated:
-        mass, width = display_unit("mass_kg", units), display_unit("diameter_m", units)
-        head += [f"mass, {mass.unit}", f"diameter, {width.unit}", "restitution", "friction", "drag", "lift"]
-    head.append("measured aerodynamics")
-    rows = []
-    for name in plan.ball_names:
-        row = [name, "control" if name not in plan.design.balls else "compared"]
-        if simulated:
-            row += _simulated_figures(plan.balls.get(name), units)
-        row.append(measured[name].text if name in measured else "none")
-        rows.append(tuple(row))
+    columns = _simulated_columns(units) if simulated else {}
+    rows = tuple(
+        (
+            name,
+            "control" if name not in plan.design.balls else "compared",
+            *(cell(ball) if (ball := plan.balls.get(name)) else "–" for cell in columns.values()),
+            measured[name].text if name in measured else "none",
+        )
+        for name in plan.ball_names
+    )
     caption = "Balls" + (
         "; restitution, drag and lift as factors of the simulation on those of club and flight model"
         if simulated
         else "; what they are is measured, nothing of it comes from the plan"
     )
-    return EquipmentTable(f"{caption}.", tuple(head), tuple(rows))
+    return EquipmentTable(f"{caption}.", ("ball", "role", *columns, "measured aerodynamics"), rows)
 
 
-def _simulated_figures(ball: Ball | None, units: UnitSystem) -> list[str]:
-    if ball is None:
-        return ["–"] * 6
-    figures = (ball.restitution_factor, ball.friction, ball.drag_factor, ball.lift_factor)
-    sizes = (
-        display_unit("mass_kg", units).text(ball.mass),
-        display_unit("diameter_m", units).text(2 * ball.radius),
-    )
-    return [*sizes, *(f"{figure:g}" for figure in figures)]
+def _simulated_columns(units: UnitSystem) -> dict[str, Callable[[Ball], str]]:
+    mass, width = display_unit("mass_kg", units), display_unit("diameter_m", units)
+    return {
+        f"mass, {mass.unit}": lambda ball: mass.text(ball.mass),
+        f"diameter, {width.unit}": lambda ball: width.text(2 * ball.radius),
+        "restitution": lambda ball: f"{ball.restitution_factor:g}",
+        "friction": lambda ball: f"{ball.friction:g}",
+        "drag": lambda ball: f"{ball.drag_factor:g}",
+        "lift": lambda ball: f"{ball.lift_factor:g}",
+    }
 
 
 def club_table(plan: CampaignPlan, units: UnitSystem = UnitSystem.SI) -> EquipmentTable:
     """Return the clubs."""
     length, mass = display_unit("length_m", units), display_unit("head_mass_kg", units)
-    rows = tuple(
-        (
-            name,
-            f"{degrees(club.loft):.2f}",
-            f"{degrees(club.lie):.2f}",
-            f"{degrees(club.face_angle):.2f}",
-            length.text(club.length_to_face),
-            mass.text(club.head_mass),
-        )
-        for name, club in plan.clubs.items()
-    )
-    head = (
-        "club",
-        "loft, °",
-        "lie, °",
-        "face angle, °",
-        f"length to the face, {length.unit}",
-        f"head mass, {mass.unit}",
-    )
-    return EquipmentTable("Clubs, as plan and configuration have them.", head, rows)
+    columns: dict[str, Callable[[Club], str]] = {
+        "loft, °": lambda club: f"{degrees(club.loft):.2f}",
+        "lie, °": lambda club: f"{degrees(club.lie):.2f}",
+        "face angle, °": lambda club: f"{degrees(club.face_angle):.2f}",
+        f"length to the face, {length.unit}": lambda club: length.text(club.length_to_face),
+        f"head mass, {mass.unit}": lambda club: mass.text(club.head_mass),
+    }
+    rows = tuple((name, *(cell(club) for cell in columns.values())) for name, club in plan.clubs.items())
+    return EquipmentTable("Clubs, as plan and configuration have them.", ("club", *columns), rows)
 
 
 def golfer_table(golfers: Mapping[str, Any], units: UnitSystem = UnitSystem.SI) -> EquipmentTable:
@@ -204,25 +193,14 @@ def _sds(record: CampaignRecord) -> str:
 
 def item_table(record: CampaignRecord) -> EquipmentTable:
     """Return the tested items as received."""
-    plan = record.plan
-    rows = []
-    for kind, names in (("ball", plan.ball_names), ("club", plan.design.clubs)):
-        for name in names:
-            item = plan.items.get(name, ItemParticulars())
-            samples = sorted({s.sample for s in record.shots if s.ball == name and s.sample})
-            number = ""
-            if kind == "ball" and samples:
-                number = f"{len(samples)}, no. {samples[0]} to {samples[-1]}"
-            rows.append(
-                (
-                    name,
-                    kind,
-                    number,
-                    item.identity or NOT_STATED,
-                    item.condition or NOT_STATED,
-                    item.received or NOT_STATED,
-                )
-            )
+    plan, rows = record.plan, list[tuple[str, ...]]()
+    kinds = {"ball": plan.ball_names, "club": plan.design.clubs}
+    for kind, name in ((kind, name) for kind, names in kinds.items() for name in names):
+        item = plan.items.get(name, ItemParticulars())
+        samples = sorted({s.sample for s in record.shots if s.ball == name and s.sample})
+        number = f"{len(samples)}, no. {samples[0]} to {samples[-1]}" if kind == "ball" and samples else ""
+        stated = (text or NOT_STATED for text in (item.identity, item.condition, item.received))
+        rows.append((name, kind, number, *stated))
     head = ("item", "kind", "hit", "identity", "condition", "received")
     return EquipmentTable("Items tested, as the plan states them.", head, tuple(rows))
 

@@ -44,7 +44,6 @@ class Verification:
     """Result of comparing a page with the records."""
 
     digest: str
-    """Digest of the records."""
     figures: int
     """Number of recomputed figures."""
     page: bool

@@ -16,7 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError
-from bench.campaign.interruptions import RunStart, duration_text, found_at_begin
+from bench.campaign.interruptions import duration_text, found_at_begin
 from bench.campaign.plan.bench_setup import Fitting, Preparation, fitting_after, missing, sample_for
 from bench.campaign.plan.gate import outside
 from bench.campaign.plan.plan import CampaignPlan
@@ -28,7 +28,7 @@ from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.telemetry.recorder import write_swing
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked
-from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt, PromptKind
+from bench.store.records import CampaignEntry, CampaignRun, CampaignState, Event, Hit, Prompt, PromptKind
 from drivers.base import ACTUATORS
 
 BATCH = 50
@@ -82,14 +82,14 @@ class Runner:
         watcher: Watcher,
         batch: int = BATCH,
         operator: Operator | None = None,
-        start: RunStart = RunStart(),  # noqa: B008 - a value
+        start: CampaignRun | None = None,
         cause: Callable[[], str] = lambda: "Ctrl-C",
     ) -> None:
         """`operator` None: prompts that the simulation cannot answer wait for the database.
 
         `cause` names what interrupted the run.
         """
-        self._start, self._cause = start, cause
+        self._start, self._cause = start or CampaignRun(0, datetime.now(UTC)), cause
         self._entry, self._plan, self._store, self._source = entry, plan, store, source
         self._data_dir, self._watcher, self._batch = data_dir, watcher, batch
         self._folder = data_dir / "campaigns" / entry.id / "swings"
@@ -104,7 +104,6 @@ class Runner:
         self._alive = data_dir / "campaigns" / entry.id / "alive"
         """Touched at every look: the time of the runner's last sign of life."""
         self._last: datetime | None = None
-        """Time of the last shot."""
         self._block: list[Shot] = []
         """Shots so far of the block in progress."""
         self._restarts: Counter[tuple[int, int]] = Counter()
@@ -157,14 +156,14 @@ class Runner:
 
     def _begin(self) -> None:
         """Store the beginning of this run, and what there is to say about the one before."""
-        campaign, now = self._entry.id, datetime.now(UTC)
+        campaign, start = self._entry.id, self._start._replace(began=datetime.now(UTC))
         standing, runs = self._store.standing(campaign), self._store.runs(campaign)
         seen = (
             datetime.fromtimestamp(self._alive.stat().st_mtime, UTC) if self._alive.exists() else self._last
         )
-        for kind, text in found_at_begin(standing, runs, self.taken, seen, self._start, now):
+        for kind, text in found_at_begin(standing, runs, self.taken, seen, start):
             self._report(kind, text)
-        self._store.begin_run(campaign, self._start.by, now, self._start.versions, self._start.facts)
+        self._store.begin_run(campaign, start)
         self._alive.touch()
 
     def _note_event(self, kind: str, text: str) -> None:

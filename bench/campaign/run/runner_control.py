@@ -9,8 +9,10 @@ from functools import partial, reduce
 from operator import getitem
 from typing import Any
 
+from sim.air import Air
+
 from bench.base.errors import Refused
-from bench.campaign.interruptions import RunStart, differences, software_versions
+from bench.campaign.interruptions import differences, software_versions
 from bench.campaign.plan.carry import Measured, measured_of
 from bench.campaign.plan.gate import planned_delivery
 from bench.campaign.plan.plan import CampaignPlan
@@ -41,7 +43,7 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
 from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
 from bench.store.campaigns import CampaignStore
-from bench.store.records import ENDED, CampaignEntry, CampaignState
+from bench.store.records import ENDED, CampaignEntry, CampaignRun, CampaignState
 from sim.ball import Air
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
@@ -117,7 +119,7 @@ def run_campaign(
     watcher: Watcher,
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
-    start: RunStart = RunStart(),  # noqa: B008 - a value
+    start: CampaignRun | None = None,
     cause: Callable[[], str] = lambda: "Ctrl-C",
 ) -> RunOutcome:
     """Start or resume a campaign where it was started; run it until its end or a stop.
@@ -216,10 +218,11 @@ def bench_facts(
     return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}
 
 
-def run_start(by: str, configuration: Configuration, facts: Mapping[str, Any]) -> RunStart:
+def run_start(by: str, configuration: Configuration, facts: Mapping[str, Any]) -> CampaignRun:
     """Return the beginning of a run by `by` on the bench with `facts`."""
     lasting = {name: facts[name] for name in _LASTING if name in facts}
-    return RunStart(by, software_versions(), {**lasting, **_harmless(configuration)})
+    facts = {**lasting, **_harmless(configuration)}
+    return CampaignRun(0, datetime.now(UTC), by, software_versions(), facts)
 
 
 def _harmless(configuration: Configuration) -> dict[str, Any]:

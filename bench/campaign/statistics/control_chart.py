@@ -147,15 +147,6 @@ NELSON: Mapping[int, str] = {
 
 
 @dataclass(frozen=True)
-class NelsonSignal:
-    """Shots at which a rule was met."""
-
-    rule: int
-    shots: tuple[int, ...]
-    """The last shot of each pattern."""
-
-
-@dataclass(frozen=True)
 class ControlChart:
     """The control ball in one quantity."""
 
@@ -165,7 +156,8 @@ class ControlChart:
     centre: float
     sd: float
     """Standard deviation by the moving range."""
-    signals: tuple[NelsonSignal, ...]
+    signals: Mapping[int, tuple[int, ...]]
+    """Last shot of each pattern, by the number of its rule."""
 
 
 def control_charts(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[ControlChart, ...]:
@@ -184,18 +176,10 @@ def _chart(column: str, controls: Sequence[Shot]) -> ControlChart | None:
         return None
     values = np.array([value for _, value in measured], dtype=float)
     centre, sd = float(values.mean()), float(np.abs(np.diff(values)).mean()) / _MEAN_RANGE
-    signals = []
-    if sd > 0:
-        for rule, places in nelson_signals((values - centre) / sd).items():
-            signals.append(NelsonSignal(rule, tuple(measured[place][0] for place in places)))
-    return ControlChart(
-        column,
-        tuple(shot for shot, _ in measured),
-        tuple(map(float, values)),
-        centre,
-        sd,
-        tuple(signals),
-    )
+    found = nelson_signals((values - centre) / sd) if sd > 0 else {}
+    shots = tuple(shot for shot, _ in measured)
+    signals = {rule: tuple(shots[place] for place in places) for rule, places in found.items()}
+    return ControlChart(column, shots, tuple(map(float, values)), centre, sd, signals)
 
 
 def nelson_signals(z: Array) -> dict[int, list[int]]:

@@ -59,7 +59,6 @@ class Shot:
     ball: str
     status: ShotStatus
     reason: str = ""
-    """Why the shot is not valid."""
     club_speed_mps: float | None = None
     attack_angle_deg: float | None = None
     club_path_deg: float | None = None

@@ -26,7 +26,6 @@ from bench.records.telemetry.cycle_record import (
 )
 
 Cycles = np.ndarray[Any, Any]
-"""Records of CYCLE."""
 
 METADATA_KEY, UNITS_KEY = b"golfbench", b"units"
 """Keys of the JSON texts in the Parquet file's key-value metadata."""

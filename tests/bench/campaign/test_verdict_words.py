@@ -151,7 +151,7 @@ def test_analyse_covariate_removes_explained_scatter() -> None:
     assert with_it.covariates.share == pytest.approx(0.8, abs=0.15)
     assert with_it.covariates.slopes[0] == pytest.approx(3.0, rel=0.3)
     assert with_it.sd < 0.7 * without.sd
-    (note, _) = findings(case.plan, shots).notes[0]
+    (note, _) = findings(case.plan, shots).sections[0].notes
     assert "Corrected by club speed, as planned" in note
     shots[0] = replace(shots[0], club_speed_mps=None)
     left = analyse(case.plan, shots, 1, "", ()).confirmatory

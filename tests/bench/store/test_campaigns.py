@@ -28,6 +28,7 @@ from bench.store.database import SHOTS, DatabaseLocked, open_database
 from bench.store.records import (
     AirReading,
     CampaignEntry,
+    CampaignRun,
     CampaignState,
     Event,
     Hit,
@@ -387,8 +388,8 @@ def test_last_answered_clock_set_back_returns_latest_club(tmp_path: Path) -> Non
 def test_campaign_store_restores_runs_notes_and_set_aside_shots(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
-        store.begin_run(ENTRY.id, "Ann", NOW, {"numpy": "2"}, {"driver": "sim"})
-        store.begin_run(ENTRY.id, "Bob", NOW, {"numpy": "3"}, {})
+        store.begin_run(ENTRY.id, CampaignRun(0, NOW, "Ann", {"numpy": "2"}, {"driver": "sim"}))
+        store.begin_run(ENTRY.id, CampaignRun(0, NOW, "Bob", {"numpy": "3"}))
         assert [(run.number, run.by, run.versions) for run in store.runs(ENTRY.id)] == [
             (1, "Ann", {"numpy": "2"}),
             (2, "Bob", {"numpy": "3"}),

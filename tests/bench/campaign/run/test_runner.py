@@ -22,7 +22,7 @@ from sqlalchemy import make_url
 
 from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError, Refused
-from bench.campaign.interruptions import RunStart, changed
+from bench.campaign.interruptions import changed
 from bench.campaign.plan.bench_setup import sample_for
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
@@ -46,7 +46,7 @@ from bench.records.telemetry.recorder import read_swing, write_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignEntry, CampaignState, Hit
+from bench.store.records import CampaignEntry, CampaignRun, CampaignState, Hit
 from drivers.base import ACTUATORS
 from drivers.base.compiled import new_record
 from tests.bench.running_postgres import running_postgres
@@ -121,7 +121,7 @@ class Bench:
         source: Scripted,
         interrupted: Callable[[], bool] = never,
         batch: int = 4,
-        start: RunStart = RunStart(),  # noqa: B008 - a value
+        start: CampaignRun | None = None,
     ) -> RunOutcome:
         runner = Runner(
             self.entry, self.plan, self.store, self.folder, source, self.watcher, batch, start=start
@@ -593,8 +593,12 @@ def test_runner_pause_and_stop_store_requester(make: Callable[..., Bench]) -> No
 
 def test_runner_changed_software_or_bench_is_stored_as_event(make: Callable[..., Bench]) -> None:
     bench = make()
-    first = RunStart("ann", {"numpy": "2.4.5", "source": "aaa"}, {"club": "driver", "loop": {"cpu": 1}})
-    second = RunStart("bob", {"numpy": "2.4.6", "source": "bbb"}, {"club": "driver", "loop": {"cpu": 2}})
+    first = CampaignRun(
+        0, NOW, "ann", {"numpy": "2.4.5", "source": "aaa"}, {"club": "driver", "loop": {"cpu": 1}}
+    )
+    second = CampaignRun(
+        0, NOW, "bob", {"numpy": "2.4.6", "source": "bbb"}, {"club": "driver", "loop": {"cpu": 2}}
+    )
     source = Scripted()
     bench.run(source, lambda: len(source.taken) == 5, start=first)
     bench.run(source, lambda: len(source.taken) == 8, start=first)
