@@ -66,15 +66,11 @@ class CampaignStore:
     """The campaigns in one open database."""
 
     def __init__(self, engine: Engine) -> None:
-        self._engine = engine
+        self.database = engine
+        """The database, for its other contents."""
         self.waiting: Callable[[DatabaseLocked], None] | None = None
         """Called while the database is held by another process or away; raises its argument to give up."""
         self._writer, self._writes = secrets.token_hex(16), 0
-
-    @property
-    def database(self) -> Engine:
-        """The database, for its other contents."""
-        return self._engine
 
     def begin(self, entry: CampaignEntry) -> None:
         """Add a campaign.
@@ -342,7 +338,7 @@ class CampaignStore:
         """
         while True:
             try:
-                with transaction(self._engine, writes=False, waiting=self.waiting) as connection:
+                with transaction(self.database, writes=False, waiting=self.waiting) as connection:
                     return work(connection)
             except OperationalError as error:
                 if not self._repeats(error):
@@ -359,7 +355,7 @@ class CampaignStore:
         answers: list[_Answer] = []
         while True:
             try:
-                with transaction(self._engine, writes=True, waiting=self.waiting) as connection:
+                with transaction(self.database, writes=True, waiting=self.waiting) as connection:
                     if not (answers and self._is_stored(connection)):
                         answers.append(work(connection))
                         if self.waiting is not None:

@@ -35,8 +35,8 @@ from bench.base.lifecycle import Cause, State
 from bench.records.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
 from bench.records.shot.strike import DriftMonitor, ball_struck, strike_seen
 from bench.records.telemetry.recorder import (
-    QueuedRecord,
     RecordQueue,
+    SwingRecord,
     folder_fault,
     record_path,
     remove_partial,
@@ -258,7 +258,7 @@ class Recorder:
             metadata["drift"] = self._drift_of(cut, metadata)
         metadata["loop"] = self._loop_since_before()
         path = record_path(self._swings, began, self._number)
-        self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
+        self._queue.put(SwingRecord(path, since(cut.cycles, begin), metadata))
 
     def _loop_since_before(self) -> dict[str, Any]:
         """Return the loop's counters since the record before."""
@@ -291,7 +291,7 @@ class Recorder:
                 now,
                 Condition(int(self._heartbeat.last["condition"][0])),
                 storing=due.metadata["number"],
-                storing_began=due.began.timestamp(),
+                storing_began=due.time_utc.timestamp(),
                 storing_tick=int(due.cycles["tick"][-1]),
             )
         stored = self._queue.store(now, at_once=at_once)
@@ -309,7 +309,7 @@ class Recorder:
             **{key: stored.metadata[key] for key in facts},
         )
 
-    def _shot_of(self, stored: QueuedRecord) -> dict[str, Any] | None:
+    def _shot_of(self, stored: SwingRecord) -> dict[str, Any] | None:
         """Return a swing's row of the shot table; None of another record, or if the plan asks for none."""
         if self._plan.plant is None or stored.metadata["kind"] != "swing":
             return None
@@ -318,7 +318,7 @@ class Recorder:
             self._plan.plant,
             self._plan.around,
             number=stored.metadata["number"],
-            time_utc=stored.began,
+            time_utc=stored.time_utc,
         )
         return shot_to_json(shot.shot)
 

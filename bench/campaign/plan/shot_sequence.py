@@ -169,22 +169,17 @@ class Ending(NamedTuple):
     reason: str
 
 
-class Restart(NamedTuple):
-    """Sent in place of a shot after a long time without one: warm up again, restart the block."""
-
-
-RESTART = Restart()
 Decide = Callable[[CampaignPlan, Sequence[Shot]], str]
 """Returns from a section's shots why they are enough; empty if they are not."""
 Planned = Mapping[tuple[str, str], Centre]
 """Designed delivery by (swing, club)."""
-Course = Generator[Step, Shot | Restart, Ending]
+Course = Generator[Step, Shot | None, Ending]
 
 
 def course(plan: CampaignPlan, planned: Planned, decide: Decide) -> Course:
-    """Yield the steps of `plan`; send each one's shot.
+    """Yield the steps of `plan`; send each one's shot, or None after a long time without one.
 
-    After a `Restart` the next step is the first one of the section's warm-up, and after that the block's.
+    After None the next step is the first one of the section's warm-up, and after that the block's.
     """
     words = []
     for section in sections(plan):
@@ -209,13 +204,13 @@ def course(plan: CampaignPlan, planned: Planned, decide: Decide) -> Course:
 
 def _block(
     plan: CampaignPlan, section: Section, number: int, centres: Planned
-) -> Generator[Step, Shot | Restart, list[Shot] | None]:
+) -> Generator[Step, Shot | None, list[Shot] | None]:
     """Take the shots of a block, the repeats included; return None if it restarts."""
     shots = []
     for trial in block_trials(plan, section, number):
         for attempt in range(1, plan.design.repeats + 2):
             shot = yield Step(trial, attempt, centres[trial.arm.swing, trial.arm.club])
-            if isinstance(shot, Restart):
+            if shot is None:
                 return None
             shots.append(shot)
             if shot.status is ShotStatus.VALID:
@@ -225,7 +220,7 @@ def _block(
 
 def _warmed_up(
     plan: CampaignPlan, section: Section, planned: Planned
-) -> Generator[Step, Shot | Restart, tuple[Planned, str]]:
+) -> Generator[Step, Shot | None, tuple[Planned, str]]:
     """Warm up with each swing and club; return the gate's centres, and the reason if it failed."""
     arms = warm_up_arms(section) if plan.warm_up.at_most else []
     centres, index = dict(planned), 0
@@ -260,7 +255,7 @@ def looks_after(plan: CampaignPlan) -> frozenset[int]:
 
 def _warm_up(
     plan: CampaignPlan, section: Section, arm: Arm
-) -> Generator[Step, Shot | Restart, tuple[list[Shot], str] | None]:
+) -> Generator[Step, Shot | None, tuple[list[Shot], str] | None]:
     """Swing until the club speed is stable; return the last shots, and the reason if it is not.
 
     None: restart all of the warm-up.
@@ -269,7 +264,7 @@ def _warm_up(
     for position in range(1, w.at_most + 1):
         trial = PlannedShot(Role.WARM_UP, section.number, 0, position, arm)
         shot = yield Step(trial, 1, Centre())
-        if isinstance(shot, Restart):
+        if shot is None:
             return None
         if shot.status is not ShotStatus.VALID or shot.club_speed_mps is None:
             recent = []

@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib.resources import files
 from math import floor, isfinite, log10
 from typing import Any, overload
 
@@ -136,9 +135,7 @@ BALL = {
 def page_template(filters: Mapping[str, Callable[..., Any]]) -> jinja2.Template:
     """Return the template of a report with its `filters`; undefined variables are errors."""
     environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(
-            lambda wanted: (files("bench.campaign.report") / wanted).read_text(encoding="utf-8")
-        ),
+        loader=jinja2.PackageLoader("bench.campaign", "report"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

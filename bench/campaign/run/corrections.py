@@ -130,12 +130,10 @@ class CampaignCorrections:
         configuration: Configuration,
         database: Engine,
         profiles: Profiles,
-        *,
-        simulated: bool,
     ) -> None:
-        """`profiles` are as designed; corrections are used if they are `simulated` like the campaign."""
+        """`profiles` are as designed; corrections are used if they are simulated like the campaign."""
         self._entry, self._plan, self._configuration = entry, plan, configuration
-        self._database, self._profiles, self._simulated = database, profiles, simulated
+        self._database, self._profiles = database, profiles
         self._lectures: dict[Arm, LearningProblem] = {}
         self._learned: dict[Arm, Learned | None] = {
             arm: newest_that_holds(
@@ -143,7 +141,7 @@ class CampaignCorrections:
                 entry.bench,
                 profile.name,
                 self._conditions(arm),
-                simulated=simulated,
+                simulated=entry.simulated,
                 until=entry.date,
             )
             for arm, profile in profiles.items()
@@ -196,7 +194,7 @@ class CampaignCorrections:
                 self._conditions(arm, truth),
                 "encoders+model",
                 datetime.now(UTC),
-                simulated=self._simulated,
+                simulated=self._entry.simulated,
                 beside=mark,
             )
             found = replace(found, version=keep(self._database, found))
@@ -222,5 +220,5 @@ class CampaignCorrections:
 
     def _conditions(self, arm: Arm, truth: PlantParameters | None = None) -> Conditions:
         plant = self._plant(arm)
-        robot = (truth or plant) if self._simulated else None
+        robot = (truth or plant) if self._entry.simulated else None
         return Conditions.of(self._profiles[arm], plant, self._configuration.air.temperature, robot)

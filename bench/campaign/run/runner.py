@@ -20,7 +20,7 @@ from bench.campaign.interruptions import duration_text, found_at_begin
 from bench.campaign.plan.bench_setup import Fitting, Preparation, fitting_after, missing, sample_for
 from bench.campaign.plan.gate import outside
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.shot_sequence import RESTART, Course, Ending, Role, Step
+from bench.campaign.plan.shot_sequence import Course, Ending, Role, Step
 from bench.campaign.run.corrections import DriftDetector
 from bench.campaign.run.shot_source import Operator, ShotPostponed, ShotSource, Suspended, Taken, Watcher
 from bench.records.shot.recorded_shot import shot_to_json
@@ -354,7 +354,7 @@ class Runner:
         self._block = []
         self._drifts.set_aside(trial.block)
         self._watcher.set_aside(trial.block)
-        return course.send(RESTART)
+        return course.send(None)
 
     def _go_back_to_work(self) -> None:
         """Take the bench back after an answer that came without a runner."""

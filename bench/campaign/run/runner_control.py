@@ -139,9 +139,7 @@ def run_campaign(
         plan, configuration = calibrated(plan, configuration, entry.date)
     data_dir, measured = configuration.bench.data_dir, measured_of(entry.calibrations, entry.id)
     with runner_lock(data_dir, entry.id), ExitStack() as stack:
-        corrections = CampaignCorrections(
-            entry, plan, configuration, store.database, profiles, simulated=entry.simulated
-        )
+        corrections = CampaignCorrections(entry, plan, configuration, store.database, profiles)
         source: ShotSource
         if not live:
             source = SimulatedShots(plan, configuration, corrections, interrupted, measured)

@@ -72,11 +72,16 @@ def write_swing(path: Path, cycles: Cycles, metadata: Mapping[str, Any]) -> None
 
 
 class SwingRecord(NamedTuple):
-    """A swing's record, as it is stored."""
+    """A swing's record, as it is stored or to be stored."""
 
     path: Path
     cycles: Cycles
     metadata: dict[str, Any]
+
+    @property
+    def time_utc(self) -> datetime:
+        """UTC time of its first cycle."""
+        return datetime.fromisoformat(self.metadata["time_utc"])
 
     @property
     def begin_utc(self) -> float:
@@ -163,23 +168,13 @@ def record_files(places: Sequence[Path]) -> list[Path]:
     return files
 
 
-class QueuedRecord(NamedTuple):
-    """One record and its path."""
-
-    path: Path
-    began: datetime
-    cycles: Cycles
-    """Cycles of the record: `time` from the record's begin."""
-    metadata: Mapping[str, Any]
-
-
 class RecordQueue:
     """Queue of at most `room` records; records that do not fit are lost and counted."""
 
     def __init__(self, room: int, pause: float) -> None:
         """`pause`: s before a retry after a failure."""
         self._room, self._pause = room, pause
-        self._waiting: deque[QueuedRecord] = deque()
+        self._waiting: deque[SwingRecord] = deque()
         self._next_try = 0.0
         self.dropped = 0
         """Number of records lost for want of room."""
@@ -196,18 +191,18 @@ class RecordQueue:
         firsts = [int(r.cycles["tick"][0]) for r in self._waiting]
         return min(firsts) - 1 if firsts else None
 
-    def put(self, record: QueuedRecord) -> None:
+    def put(self, record: SwingRecord) -> None:
         """Queue `record`; drop it without room."""
         if len(self._waiting) >= self._room:
             self.dropped += 1
             return
         self._waiting.append(record)
 
-    def due(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:
+    def due(self, now: float, *, at_once: bool = False) -> SwingRecord | None:
         """Return the oldest record, unless a retry is not due at `now` (s)."""
         return self._waiting[0] if self._waiting and (at_once or now >= self._next_try) else None
 
-    def store(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:
+    def store(self, now: float, *, at_once: bool = False) -> SwingRecord | None:
         """Store the record that is due; return it once stored."""
         record = self.due(now, at_once=at_once)
         if record is None:

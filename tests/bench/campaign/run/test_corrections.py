@@ -43,7 +43,7 @@ def database(tmp_path: Path) -> Iterator[Engine]:
 
 
 def made(database: Engine, *, simulated: bool = True) -> CampaignCorrections:
-    return CampaignCorrections(ENTRY, PLAN, CONFIGURATION, database, PROFILES, simulated=simulated)
+    return CampaignCorrections(replace(ENTRY, simulated=simulated), PLAN, CONFIGURATION, database, PROFILES)
 
 
 def stored(value: float, date: datetime, **changes: Any) -> Learned:

@@ -10,8 +10,8 @@ import numpy as np
 
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.recorder import (
-    QueuedRecord,
     RecordQueue,
+    SwingRecord,
     folder_fault,
     read_swing,
     record_path,
@@ -19,12 +19,10 @@ from bench.records.telemetry.recorder import (
 )
 
 
-def record(path: Path, number: int = 1, kind: str = "swing") -> QueuedRecord:
+def record(path: Path, number: int = 1, kind: str = "swing") -> SwingRecord:
     cycles = np.zeros(5, CYCLE)
     cycles["tick"] = number
-    return QueuedRecord(
-        path / f"{number}.parquet", datetime.fromtimestamp(0.0, UTC), cycles, {"kind": kind, "number": number}
-    )
+    return SwingRecord(path / f"{number}.parquet", cycles, {"kind": kind, "number": number})
 
 
 @contextmanager
