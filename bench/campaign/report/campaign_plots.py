@@ -23,6 +23,7 @@ from bench.records.shot.plot_style import STYLE, colour_of, marker_of, styled, t
 from bench.records.shot.shot import Shot, ShotStatus
 
 _INK, _GREY, _RED = "#1a1a1a", "#6b7280", "#b91c1c"
+_CROSSES: dict[str, Any] = {"color": _INK, "marker": "x"}
 _MANY = 1500
 """Number of points from which a cloud is drawn as a bitmap."""
 _DELIVERY = ("club_speed_mps", "attack_angle_deg", "dynamic_loft_deg", "strike_x_mm")
@@ -366,16 +367,8 @@ def _drift(
     kept, values = values_of(plan, [shot for shot in shots if shot.role == Role.CONTROL])
     if len(values) > 1:
         number, off = np.array([s.shot for s in kept], dtype=float), (values - values.mean()) / unit.size
-        axes.plot(
-            number,
-            off,
-            color=_INK,
-            marker="x",
-            markersize=2.5 if many else 4,
-            linestyle="none",
-            rasterized=many,
-            label="control ball",
-        )
+        style = _CROSSES | {"markersize": 2.5 if many else 4, "linestyle": "none", "rasterized": many}
+        axes.plot(number, off, **style, label="control ball")
         if (fit := analysis.confirmatory) is not None and fit.drift is not None:
             line = fit.drift * (number - number.mean()) / unit.size
             axes.plot(number, line, color=_INK, label="drift as removed")
@@ -408,7 +401,10 @@ def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
             mine = [s for s in shots if (s.swing, s.club) == key and getattr(s, column) is not None]
             for valid in (True, False):
                 some = [s for s in mine if (s.status is ShotStatus.VALID) is valid]
-                _points(axes, some, column, _look(index, many), unit, filled=valid)
+                empty = {"markerfacecolor": "none", "color": _RED}
+                style = _look(index, many) | ({"markersize": 2.0} if valid else empty)
+                figures = [unit.of(getattr(s, column)) for s in some]
+                axes.plot([s.shot for s in some], figures, **style)
         axes.set(title=NAMES[column].capitalize(), ylabel=unit.unit)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     for axes in grid[1]:
@@ -417,13 +413,6 @@ def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
     every = all(shot.status is ShotStatus.VALID for shot in shots)
     caption = "Valid shots." if every else "Filled: valid shots; red and open: not valid."
     return _picture(figure, "delivery", label, caption)
-
-
-def _points(
-    axes: Axes, shots: Sequence[Shot], column: str, style: dict[str, Any], unit: DisplayUnit, *, filled: bool
-) -> None:
-    look = style | {"markersize": 2.0} if filled else style | {"markerfacecolor": "none", "color": _RED}
-    axes.plot([s.shot for s in shots], [unit.of(getattr(s, column)) for s in shots], **look)
 
 
 def _control(charts: Sequence[ControlChart], units: UnitSystem, picture: str) -> Picture:
@@ -439,17 +428,8 @@ def _control(charts: Sequence[ControlChart], units: UnitSystem, picture: str) ->
                 colour = _RED if times == 3 else _GREY
                 axes.axhline(centre + sign * times * step, color=colour, linewidth=0.7, linestyle=line)
         axes.axhline(centre, color=_GREY, linewidth=0.8)
-        joined = "none" if many else "-"
-        axes.plot(
-            chart.shots,
-            values,
-            color=_INK,
-            marker="x",
-            markersize=2.0 if many else 3.5,
-            linestyle=joined,
-            linewidth=0.6,
-            rasterized=many,
-        )
+        style = _CROSSES | {"markersize": 2.0 if many else 3.5, "linewidth": 0.6, "rasterized": many}
+        axes.plot(chart.shots, values, **style, linestyle="none" if many else "-")
         _mark_signals(axes, chart, dict(zip(chart.shots, values, strict=True)))
         axes.set(title=f"Control ball: {NAMES[chart.column]}", ylabel=unit.unit)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -471,16 +451,9 @@ def _mark_signals(axes: Axes, chart: ControlChart, values: Mapping[int, float]) 
         for shot in found:
             rules.setdefault(shot, []).append(str(rule))
     shots = sorted(rules)
-    axes.plot(
-        shots,
-        [values[shot] for shot in shots],
-        color=_RED,
-        marker="o",
-        markersize=6,
-        markerfacecolor="none",
-        linestyle="none",
-        rasterized=len(shots) > _MANY // 10,
-    )
+    ring: dict[str, Any] = {"marker": "o", "markersize": 6, "markerfacecolor": "none", "linestyle": "none"}
+    ringed = [values[shot] for shot in shots]
+    axes.plot(shots, ringed, color=_RED, rasterized=len(shots) > _MANY // 10, **ring)
     for shot in shots[:_NAMED]:
         at, words = (shot, values[shot]), ",".join(rules[shot])
         axes.annotate(words, at, (0, 5), textcoords="offset points", ha="center", fontsize=6, color=_RED)
@@ -495,9 +468,9 @@ def _draw_ellipse(axes: Axes, ellipse: DispersionEllipse, colour: str, size: flo
     centre = ellipse.centre[0] / size, ellipse.centre[1] / size
     width, height = ellipse.short_axis / size, ellipse.long_axis / size
     turn = -float(np.degrees(ellipse.tilt))
-    for style in ({"fill": False, "edgecolor": colour}, {"color": colour, "alpha": 0.07}):
-        line = 1.0 if "edgecolor" in style else 0.0
-        axes.add_patch(Ellipse(centre, width, height, angle=turn, linewidth=line, **style))
+    edge = {"fill": False, "edgecolor": colour, "linewidth": 1.0}
+    for style in (edge, {"color": colour, "alpha": 0.07, "linewidth": 0.0}):
+        axes.add_patch(Ellipse(centre, width, height, angle=turn, **style))
     return _corners(ellipse)
 
 

@@ -50,14 +50,14 @@ from bench.learning.live import LiveSwinger
 from bench.network.bench_operator import READY, BenchOperator, NoShot
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
-from bench.network.lease import CAMPAIGN_HOLDER
+from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
 from bench.network.status_words import absent_monitor_text
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
 from bench.records.shot.strike import ball_struck
 from bench.records.telemetry.recorder import SwingRecord
-from bench.store.records import PromptKind
+from bench.store.records import CampaignEntry, PromptKind
 from bench.supervisor.ownership import bench_folder
 from bench.supervisor.readiness import mechanically_equal, with_face_of
 from bench.swing.correction import digest_of
@@ -139,31 +139,28 @@ class LiveShots(ShotSource):
 
     def __init__(
         self,
+        entry: CampaignEntry,
         plan: CampaignPlan,
         swings: CampaignCorrections,
         clubs: Mapping[str, Club],
         client: BenchClient,
-        holder: str,
         *,
-        simulated: bool,
         interrupted: Callable[[], bool],
         aborted: Callable[[], bool],
-        monitored: bool = False,
         measured: Measured | None = None,
         air: Callable[[], Air | None] = lambda: None,
     ) -> None:
-        """`monitored`: ball data come from the bench's launch monitor; `measured`: aerodynamics by ball.
+        """`clubs` are those of the bench's configuration; `measured` are aerodynamics by ball.
 
-        `holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not.
-
-        `clubs` are those of the bench's configuration; `air` returns the reading at a real bench.
+        `aborted` stops a swing, `interrupted` does not; `air` returns the reading at a real bench. The lease
+        is taken at the first shot.
         """
         self._plan, self._swings, self._clubs = plan, swings, clubs
-        self._client, self.simulated, self._air = client, simulated, air
+        self._client, self.simulated, self._air = client, entry.simulated, air
         self._operator = BenchOperator(
             client,
-            holder,
-            simulated=simulated,
+            f"{CAMPAIGN_HOLDER}{entry.id}"[:MAX_HOLDER_LENGTH],
+            simulated=entry.simulated,
             ask_person=_left_to_person,
             on_reset=self._note_reset,
             aborted=aborted,
@@ -171,7 +168,7 @@ class LiveShots(ShotSource):
         )
         self._ordered: tuple[tuple[float, ...], int] = (), 0
         """Weights requested from the bench, and its number of the correction."""
-        self._monitored = monitored
+        self._monitored = bool(entry.real_time.get("launch_monitor"))
         self._measured = measured or {}
         self._ball_chosen, self._stays_armed = False, True
         self._events: list[tuple[str, str]] = []

@@ -41,7 +41,6 @@ from bench.campaign.statistics.analysis import decide
 from bench.config import Configuration
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
-from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignRun, CampaignState
 from sim.ball import Air
@@ -153,13 +152,7 @@ def run_campaign(
                 watcher.say(warning)
             source = stack.enter_context(
                 LiveShots(
-                    plan,
-                    corrections,
-                    configuration.clubs,
-                    client,
-                    f"{CAMPAIGN_HOLDER}{entry.id}"[:MAX_HOLDER_LENGTH],
-                    simulated=entry.simulated,
-                    monitored=bool(entry.real_time.get("launch_monitor")),
+                    *(entry, plan, corrections, configuration.clubs, client),
                     measured=measured,
                     interrupted=interrupted,
                     aborted=lambda: store.standing(entry.id).requested == "abort",

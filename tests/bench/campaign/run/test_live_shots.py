@@ -276,16 +276,12 @@ def shots_of(
     profiles = require_swings(plan, configuration)
     if not planned:
         profiles = with_free_air(profiles)
+    facts = {"launch_monitor": monitored}
+    entry = new_entry(plan, configuration, datetime.now(UTC), simulated=simulated, real_time=facts)
     return LiveShots(
-        plan,
-        AsDesigned(profiles),
-        configuration.clubs,
-        bench,
-        "me",
-        simulated=simulated,
+        *(entry, plan, AsDesigned(profiles), configuration.clubs, bench),
         interrupted=interrupted,
         aborted=never,
-        monitored=monitored,
         air=lambda: air,
     )
 
