@@ -40,6 +40,7 @@ from bench.learning.store import learned_swings
 from bench.network.bench_service import ArmingBlock, CommandAnswer
 from bench.network.client import CommandRefused
 from bench.network.command import Verb
+from bench.network.lease import CAMPAIGN_HOLDER
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import ShotPublication, launch_to_json, shot_publication
 from bench.records.telemetry.recorder import SwingRecord, read_swing
@@ -223,7 +224,7 @@ class StandingBench:
             "state": "READY",
             "phase": "STANDING",
             "cause": None,
-            "lease": {"holder": "me"},
+            "lease": {"holder": f"{CAMPAIGN_HOLDER}me"},
             "tick": 1,
             "supply_pressure_pa": 8.0e5,
             "correction": 0,
@@ -279,7 +280,7 @@ def shots_of(
     facts = {"launch_monitor": monitored}
     entry = new_entry(plan, configuration, datetime.now(UTC), simulated=simulated, real_time=facts)
     return LiveShots(
-        *(entry, plan, AsDesigned(profiles), configuration.clubs, bench),
+        *(replace(entry, id="me"), plan, AsDesigned(profiles), configuration.clubs, bench),
         interrupted=interrupted,
         aborted=never,
         air=lambda: air,
