@@ -245,7 +245,7 @@ def _write_all(store: CampaignStore, cut: Callable[[], None]) -> None:
     event, hit = Event(NOW, 2, "guard", "guard opened"), Hit("club", "driver")
     note, exclusion = ShotNote(2, NOW, "Ann", "a gust"), ShotExclusion(2, NOW, "Ann", "a gust", True, 2)
     wrote(store.begin, ENTRY)
-    wrote(store.begin_run, ENTRY.id, "Ann", NOW, {}, {})
+    wrote(store.begin_run, ENTRY.id, CampaignRun(0, NOW, "Ann"))
     wrote(store.note_event, ENTRY.id, event)
     wrote(store.add, ENTRY, _shots(1, 2), [event], {hit: 2}, PROMPTS[:1])
     wrote(store.add, ENTRY, [], [event], {hit: 1})
