@@ -147,7 +147,7 @@ def _taught(
     figures = [figures_of(series.swing(swing).delivery).array for _ in range(CHECKED)]
     outcome = Outcome(
         robot,
-        result.attempts[0].error,
+        result.error(result.attempts[0]),
         (np.mean(figures, axis=0) - problem.target.array) / scale,
         result.used,
         sum(bool(attempt.cause) for attempt in result.attempts),

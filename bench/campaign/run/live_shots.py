@@ -394,8 +394,7 @@ class LiveShots(ShotSource):
         else:
             hit = delivery if self.simulated and struck else None
             heard = self._modelled(number, hit, plant.robot.club, ball, around)
-        time_utc = datetime.fromisoformat(metadata["time_utc"])
-        row = shot_row(step, number, sample, time_utc, status, reason, delivery=delivery, air=air)
+        row = shot_row(step, number, sample, record.time_utc, status, reason, delivery=delivery, air=air)
         simulated = ball if self.simulated else None
         shot = with_launch(row, heard, self._plan, self._measured, around, simulated)
         metadata |= {"record": record.path.name, **more}

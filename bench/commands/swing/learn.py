@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -227,7 +228,8 @@ def _table(result: LearningResult, name: str) -> Table:
     row("target", result.target.shown, "", "", "")
     for number, attempt in enumerate(result.attempts):
         note = attempt.cause.name if attempt.cause else "kept" if number == result.chosen else ""
-        path = "" if attempt.path_error != attempt.path_error else f"{1e3 * attempt.path_error:.1f}"
+        error = result.path_error(attempt)
+        path = "" if isnan(error) else f"{1e3 * error:.1f}"
         row(str(number), attempt.figures.shown, path, f"{100 * attempt.saturated:.0f}", note)
     return table
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.learning import ilc
-from bench.learning.delivery import Figures, Tolerance
-from bench.learning.ilc import Learner, LearnerTrial, Response
+from bench.learning import learn
+from bench.learning.delivery import UNKNOWN, Figures, Tolerance
+from bench.learning.learn import Attempt, Learner, Response
 
 Array = NDArray[np.float64]
 
@@ -32,15 +32,15 @@ class Robot:
         self.offset = offset * random.normal(0, 1, 4) * self.scale
         self.scatter = scatter
 
-    def swing(self, point: Array) -> LearnerTrial:
+    def swing(self, point: Array) -> Attempt:
         noise = self.scatter * self.random.normal(0, 1, 4) * self.scale
         figures = TARGET.array + self.offset + self.figures @ point + noise
-        return LearnerTrial(point, figures, self.plan + (self.path @ point).reshape(ROWS, 3))
+        return Attempt(point, Figures(*figures), self.plan + (self.path @ point).reshape(ROWS, 3))
 
 
 def learned(robot: Robot) -> Learner:
     learner = Learner(robot.model, TARGET, robot.plan)
-    for _ in range(ilc.SWINGS + 1):
+    for _ in range(learn.SWINGS + 1):
         learner.note(robot.swing(learner.point))
         if learner.confirmed:
             break
@@ -68,7 +68,7 @@ def test_learner_repeated_swing_within_tolerance_confirms() -> None:
 
 def test_learner_weights_stay_in_bound_and_steps_in_radius(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("MAX_WEIGHT", 0.4), ("RADIUS", 0.5), ("_MAX_RADIUS", 0.5)):
-        monkeypatch.setattr(ilc, name, value)
+        monkeypatch.setattr(learn, name, value)
     learner = learned(Robot(2, offset=200.0))
     points = np.array([trial.point for trial in learner.trials])
     assert np.abs(points).max() <= 0.4 + 1e-6
@@ -83,9 +83,9 @@ def test_learner_stopped_swing_is_rejected_and_halves_step() -> None:
     first = learner.point.copy()
     path = robot.swing(first).path
     path[ROWS // 2 :] = np.nan
-    learner.note(LearnerTrial(first, np.full(4, np.nan), path))
+    learner.note(Attempt(first, UNKNOWN, path))
     assert learner.chosen == 0
-    assert np.linalg.norm(learner.point) <= 0.5 * ilc.RADIUS + 1e-9
+    assert np.linalg.norm(learner.point) <= 0.5 * learn.RADIUS + 1e-9
     assert not np.allclose(learner.point, first)
 
 
@@ -96,7 +96,7 @@ def test_learner_stopped_swings_reduce_path_error() -> None:
     off = robot.path @ np.full(WEIGHTS, 0.3)
     for _ in range(5):
         path = robot.plan + (off + robot.path @ learner.point).reshape(ROWS, 3)
-        learner.note(LearnerTrial(learner.point, np.full(4, np.nan), path))
+        learner.note(Attempt(learner.point, UNKNOWN, path))
     last = robot.plan - learner.trials[learner.chosen].path
     assert np.linalg.norm(last) < 0.6 * np.linalg.norm(off)
 
@@ -106,8 +106,7 @@ def test_learner_unmeasured_figure_is_ignored() -> None:
     learner = Learner(robot.model, TARGET, robot.plan)
     for _ in range(13):
         trial = robot.swing(learner.point)
-        trial.figures[2] = np.nan
-        learner.note(trial)
+        learner.note(trial._replace(figures=trial.figures._replace(lean=np.nan)))
         if learner.confirmed:
             break
     errors = learner.error(learner.trials[learner.chosen].figures)
@@ -119,10 +118,11 @@ def test_learner_worse_later_swings_keep_best_trial() -> None:
     robot = Robot(0, scatter=0.0)
     learner = Learner(robot.model, TARGET, robot.plan)
     learner.note(robot.swing(learner.point))
-    good = LearnerTrial(learner.point, TARGET.array, robot.plan)
+    good = Attempt(learner.point, TARGET, robot.plan)
     learner.note(good)
     for part in (0.5, 0.8, 0.9):
-        learner.note(LearnerTrial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.plan))
+        far = Figures(*(TARGET.array + 30 * TOLERANCE.scale(TARGET)))
+        learner.note(Attempt(part * good.point, far, robot.plan))
     assert learner.trials[learner.chosen].point is good.point
 
 
@@ -146,8 +146,8 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
             robot = Robot(seed, doubt=0.1)
             learner = Learner(robot.model, TARGET, robot.plan)
             first = robot.swing(learner.point)
-            first.figures[1] += 10 * robot.scale[1]
-            learner.note(first._replace(settled=not told))
+            fast = first.figures._replace(speed=first.figures.speed + 10 * robot.scale[1])
+            learner.note(first._replace(figures=fast, settled=not told))
             while not learner.confirmed:
                 learner.note(robot.swing(learner.point))
             used[told] += len(learner.trials)
@@ -161,6 +161,6 @@ def test_learner_mean_off_target_takes_further_step() -> None:
     zero = np.zeros(WEIGHTS)
     nearby = [np.full(WEIGHTS, 1e-5 * k) for k in range(1, 5)]
     for point, error in zip((zero, zero, *nearby), (0.1, 1.1, 0.3, 0.3, 0.3, 0.3), strict=True):
-        learner.note(LearnerTrial(point, TARGET.array + error * robot.scale, robot.plan))
+        learner.note(Attempt(point, Figures(*(TARGET.array + error * robot.scale)), robot.plan))
     assert not learner.confirmed
     assert np.linalg.norm(learner.point) > 0.01
