@@ -43,11 +43,7 @@ def duration_text(seconds: float) -> str:
 
 
 def found_at_begin(
-    standing: Standing,
-    runs: list[CampaignRun],
-    shots: int,
-    seen: datetime | None,
-    start: CampaignRun,
+    standing: Standing, runs: list[CampaignRun], shots: int, seen: datetime | None, start: CampaignRun
 ) -> Iterator[tuple[str, str]]:
     """Yield (kind, text) of the events at the `start` of a run that follows `runs` and `shots` shots.
 

@@ -23,13 +23,7 @@ from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.conformity import RuleFinding, judge_rules
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.report.verdicts import Needed, Verdict, section_notes, section_verdicts
-from bench.campaign.statistics.analysis import (
-    Comparison,
-    Level,
-    Pair,
-    SectionAnalysis,
-    analyse,
-)
+from bench.campaign.statistics.analysis import Comparison, Level, Pair, SectionAnalysis, analyse
 from bench.campaign.statistics.block_model import (
     Repeatability,
     Spread,

@@ -182,10 +182,7 @@ class CampaignCorrections:
             weights = self.weights(arm)
             with robot(problem) as swinger:
                 result = learn(
-                    problem,
-                    swinger,
-                    self._plan.learning.swings,
-                    start=np.array(weights) if weights else None,
+                    problem, swinger, self._plan.learning.swings, start=np.array(weights) if weights else None
                 )
             found = stored(
                 result,

@@ -39,12 +39,7 @@ from bench.campaign.run.shot_source import (
     shot_row,
     with_launch,
 )
-from bench.campaign.run.simulated_shots import (
-    ball_as_hit,
-    monitored,
-    random_of,
-    reported_carry,
-)
+from bench.campaign.run.simulated_shots import ball_as_hit, monitored, random_of, reported_carry
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
 from bench.network.bench_operator import READY, BenchOperator, NoShot
@@ -363,12 +358,7 @@ class LiveShots(ShotSource):
         return Taken(shot, None, {}, none.swung, tuple(self._events))
 
     def _taken(
-        self,
-        step: Step,
-        number: int,
-        sample: int,
-        record: SwingRecord,
-        message: ShotPublication | None,
+        self, step: Step, number: int, sample: int, record: SwingRecord, message: ShotPublication | None
     ) -> Taken:
         metadata, cycles = record.metadata, record.cycles
         plant, around = plant_of(metadata, str(record.path))
