@@ -192,10 +192,6 @@ class Learner:
     def _rows(self, figures: Four, path: float) -> Array:
         return np.concatenate([figures, np.full(self._plan.size, self._path_factor * path)])
 
-    def _error(self, trial: Attempt) -> Array:
-        path = self._path_factor * (trial.path - self._plan).ravel()
-        return np.concatenate([self.error(trial.figures), path])
-
     @property
     def best(self) -> Attempt:
         """Swing with the least cost."""
@@ -261,7 +257,8 @@ class Learner:
     def note(self, trial: Attempt) -> None:
         """Note the swing made with `trial.point` and set the next `point`."""
         self.trials.append(trial)
-        self._errors.append(self._error(trial))
+        path = self._path_factor * (trial.path - self._plan).ravel()
+        self._errors.append(np.concatenate([self.error(trial.figures), path]))
         last = len(self.trials) - 1
         if last and self._cost(last) >= self._cost(self._best):
             # An unsettled one does not judge the step.

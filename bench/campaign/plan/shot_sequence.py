@@ -73,21 +73,18 @@ def sections(plan: CampaignPlan) -> tuple[Section, ...]:
     d = plan.design
     factors = {"swing": d.swings, "club": d.clubs, "ball": d.balls}
     others = {name: values for name, values in factors.items() if name != d.compare}
-    if plan.split:
-        return tuple(_split_section(plan, number, swing) for number, swing in enumerate(d.swings, 1))
-    found = []
+    found = list[Section]()
+    if plan.split:  # all clubs with all balls
+        for number, swing in enumerate(d.swings, 1):
+            every = tuple(Arm(swing, club, ball) for club, ball in product(d.clubs, d.balls))
+            found.append(Section(number, every, every[0], None))
+        return tuple(found)
     for number, fixed in enumerate(product(*others.values()), 1):
         common = dict(zip(others, fixed, strict=True))
         arms = tuple(Arm(**common, **{d.compare: level}) for level in levels(plan))
         control = arms[0]._replace(ball=plan.control.ball) if plan.control.ball else None
         found.append(Section(number, arms, control or arms[0], control))
     return tuple(found)
-
-
-def _split_section(plan: CampaignPlan, number: int, swing: str) -> Section:
-    """Return the section of a split-plot: all clubs with all balls."""
-    arms = tuple(Arm(swing, club, ball) for club, ball in product(plan.design.clubs, plan.design.balls))
-    return Section(number, arms, arms[0], None)
 
 
 def block_trials(plan: CampaignPlan, section: Section, number: int) -> list[PlannedShot]:

@@ -118,15 +118,10 @@ def hand_work(plan: CampaignPlan, hits: Mapping[Hit, int]) -> list[dict[str, Any
             again = f"Take club {two} off and mount it again"
             found.append((number, 0, again if one == two else f"Mount club {two} in place of {one}"))
     for load in load_lists(plan, hits):
-        where = (load.before.block, load.before.position)
-        text = f"Fill the feeder: {', '.join(places(load.balls))}"
-        found.append((numbers.get(where, _section_begin(plan, load.before.section)), 1, text))
+        before, text = load.before, f"Fill the feeder: {', '.join(places(load.balls))}"
+        first = next(n for n, trial in enumerate(trials, 1) if trial.section == before.section)  # a warm-up
+        found.append((numbers.get((before.block, before.position), first), 1, text))
     return [{"shot": number, "text": text} for number, _, text in sorted(found)]
-
-
-def _section_begin(plan: CampaignPlan, section: int) -> int:
-    """Return the number of the first planned shot of `section`, which its warm-up precedes."""
-    return next(number for number, trial in enumerate(all_trials(plan), 1) if trial.section == section)
 
 
 def _trial_record(trial: PlannedShot) -> dict[str, Any]:

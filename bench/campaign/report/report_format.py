@@ -160,11 +160,8 @@ def flat(configuration: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, st
                 visit(f"{prefix}.{key}" if prefix else str(key), inner)
         else:
             group, _, key = prefix.rpartition(".")
-            groups.setdefault(group, []).append((key, _text(value)))
+            text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
+            groups.setdefault(group, []).append((key, text))
 
     visit("", configuration)
     return list(groups.items())
-
-
-def _text(value: object) -> str:
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)

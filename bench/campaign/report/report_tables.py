@@ -214,7 +214,10 @@ def calibration_table(record: CampaignRecord) -> EquipmentTable:
         caption = "Calibrations. Robot, ball and launch monitor are simulated: no instrument measured."
     head = ("what", "source", "date", "due", "state at the tests")
     late = tuple(what for what, *_, due in rows if isinstance(due, date) and due < last)
-    states = (_state(due, last) if isinstance(due, date) else due for *_, due in rows)
+    states = (
+        due if not isinstance(due, date) else f"OVERDUE since {due}" if due < last else "in force"
+        for *_, due in rows
+    )
     shown = tuple((*row[:-1], state) for row, state in zip(rows, states, strict=True))
     return EquipmentTable(caption, head, shown, late)
 
@@ -237,10 +240,6 @@ def _calibrations(record: CampaignRecord) -> Iterator[tuple[str, str, str, str, 
     for ball, found in measured_of(entry.calibrations, f"campaign {entry.id}").items():
         source = f"version {found.version}, {found.source}, by {found.by}"
         yield f"aerodynamics of {ball}", source, f"{found.date:%Y-%m-%d}", "–", "used"
-
-
-def _state(due: date, tested: date) -> str:
-    return f"OVERDUE since {due}" if due < tested else "in force"
 
 
 def issue_report(record: CampaignRecord, by: str, reason: str, now: datetime) -> Event:

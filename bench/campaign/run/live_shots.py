@@ -225,7 +225,8 @@ class LiveShots(ShotSource):
             try:
                 record = operator.swing(lambda status: self._prepare(step, status), ball=True)
             except NoShot as none:
-                return self._untaken(step, number, sample, none)
+                shot = shot_row(step, number, sample, datetime.now(UTC), ShotStatus.FAILED, none.found)
+                return Taken(shot, None, {}, none.swung, tuple(self._events))
             message = operator.message_about(record) if self._monitored else None
         return self._taken(step, number, sample, record, message)
 
@@ -320,11 +321,12 @@ class LiveShots(ShotSource):
     def relearn(self, drift: Drift, number: int) -> str:
         """Relearn a swing on the bench without a ball; the learner holds the lease meanwhile."""
         self._operator.release()
-        with _suspending():
-            return self._swings.refresh(drift, number, self._learner)
 
-    def _learner(self, problem: LearningProblem) -> LiveSwinger:
-        return LiveSwinger(self._client, problem, "encoders+model", lambda text: None, with_ball=False)
+        def learner(problem: LearningProblem) -> LiveSwinger:
+            return LiveSwinger(self._client, problem, "encoders+model", lambda text: None, with_ball=False)
+
+        with _suspending():
+            return self._swings.refresh(drift, number, learner)
 
     def _must_practise(self, step: Step) -> bool:
         """Return whether arming left other air for `step` than a swing would: without planned air."""
@@ -352,10 +354,6 @@ class LiveShots(ShotSource):
         except SharedMemoryError:
             return False
         return True
-
-    def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
-        shot = shot_row(step, number, sample, datetime.now(UTC), ShotStatus.FAILED, none.found)
-        return Taken(shot, None, {}, none.swung, tuple(self._events))
 
     def _taken(
         self, step: Step, number: int, sample: int, record: SwingRecord, message: ShotPublication | None
