@@ -21,7 +21,7 @@ from pathlib import Path
 from queue import Empty, Full, Queue
 from statistics import median
 from threading import Event, RLock, Thread
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import read_text
@@ -39,10 +39,6 @@ from bench.campaign.run.shot_source import Watcher
 from bench.network.messages import CAMPAIGN_VERSION, LastShot
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState
-
-if TYPE_CHECKING:
-    from apprise import NotifyBase
-
 
 _LAST = 11
 """Number of last shots whose times give the pace."""
@@ -222,7 +218,7 @@ class Service(NamedTuple):
     location: str
     """File and line of its URL, for messages."""
     send: Callable[[str, str], bool]
-    """Send title and text; return whether it was accepted."""
+    """Send text and title; return whether it was accepted."""
 
 
 def read_services(file: Path) -> list[Service]:
@@ -254,17 +250,9 @@ def read_services(file: Path) -> list[Service]:
         if one is None:
             action = "See apprise's list of services. The line is not shown: it may hold a secret."
             raise BenchError(location, "a URL that apprise does not know", "the URL of a service", action)
-        services.append(Service(location, _sender(one)))
+        # In the thread that calls it: apprise's own pool would outlive the run.
+        services.append(Service(location, one.notify))
     return services
-
-
-def _sender(plugin: NotifyBase) -> Callable[[str, str], bool]:
-    """Return what sends by `plugin` in the calling thread: apprise's own pool would outlive the run."""
-
-    def send(title: str, text: str) -> bool:
-        return bool(plugin.notify(title=title, body=text))
-
-    return send
 
 
 class Notifier(Watcher):
@@ -313,7 +301,7 @@ class Notifier(Watcher):
         for wait in self._waits:
             time.sleep(wait)
             with suppress(Exception):  # whatever a service does, the campaign continues
-                if service.send(title, text):
+                if service.send(text, title):
                     return
         self._say(f"A notification was not sent ({service.location}): {title}")
 

@@ -112,7 +112,7 @@ def test_notifier_failed_service_reports_line_without_url(
 def test_notifier_hanging_service_does_not_block(campaign: CampaignEntry) -> None:
     end, said = Event(), list[str]()
 
-    def hangs(title: str, text: str) -> bool:
+    def hangs(text: str, title: str) -> bool:
         end.wait(30.0)
         raise RuntimeError("no network")
 
