@@ -357,22 +357,15 @@ def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -
     balls = int(codes.max()) + 1 if n else 0
     if n < 2:
         return Spread(n, balls, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
-    mean, error = float(values.mean()), mean_error(values, codes)
+    mean, (error, dof) = float(values.mean()), mean_error(values, codes)
     grouped = codes if 1 < balls < n else np.zeros(n, int)
     whole = variance_components(values, grouped, confidence)[1]
-    half = float(special.stdtrit(error.dof, (1 + confidence) / 2)) * error.error
+    half = float(special.stdtrit(dof, (1 + confidence) / 2)) * error
     return Spread(n, balls, mean, mean - half, mean + half, whole.sd, whole.low, whole.high)
 
 
-class MeanError(NamedTuple):
-    """Standard uncertainty of a mean from the scatter of its series."""
-
-    error: float
-    dof: float
-
-
-def mean_error(values: Array, codes: Codes) -> MeanError:
-    """Return the standard uncertainty of the mean of n >= 2 `values` (n,) of balls `codes` (n,)."""
+def mean_error(values: Array, codes: Codes) -> tuple[float, float]:
+    """Return standard uncertainty and degrees of freedom of the mean of n >= 2 `values` (n,) by `codes`."""
     n, balls, mean = len(values), int(codes.max()) + 1, float(values.mean())
     if 1 < balls < n:
         hits = np.bincount(codes)
@@ -380,8 +373,8 @@ def mean_error(values: Array, codes: Codes) -> MeanError:
         # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
         variance, dof = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
         dof = min(dof, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else dof
-        return MeanError(sqrt(variance), max(dof, 1.0))
-    return MeanError(float(values.std(ddof=1)) / sqrt(n), float(n - 1))
+        return sqrt(variance), max(dof, 1.0)
+    return float(values.std(ddof=1)) / sqrt(n), float(n - 1)
 
 
 class ScatterRatio(NamedTuple):
