@@ -36,7 +36,7 @@ class FreeClock:
 
 
 class PacedClock:
-    """Virtual time paced to the wall clock: it lags by delays of the computer, which are counted."""
+    """Virtual time paced to the wall clock: it lags by delays of the computer."""
 
     def __init__(
         self,
@@ -48,10 +48,6 @@ class PacedClock:
         self._now, self._sleep = now, sleep
         self._start: float | None = None
         self.period = period
-        self.slips = 0
-        """Ticks that came more than a period late."""
-        self.slipped = 0.0
-        """Time lost against the wall, s."""
         self.due = self.woke = 0
         """Due time of the tick after all slips, and its start, ns of the wall's clock."""
 
@@ -67,8 +63,6 @@ class PacedClock:
             now = self._now()
         elif late > self.period:
             self._start += late
-            self.slips += 1
-            self.slipped += late
         self.due, self.woke = round(1e9 * (self._start + virtual)), round(1e9 * now)
         return virtual
 
@@ -85,8 +79,8 @@ class GridClock:
     """Wall time: ticks on an absolute grid of CLOCK_MONOTONIC.
 
     Sleeps until shortly before the grid point, then polls the clock. A grid point that has passed when the
-    loop begins to wait is skipped and counted, never caught up: after a stall the loop continues with the
-    next point ahead.
+    loop begins to wait is skipped, never caught up: after a stall the loop continues with the next point
+    ahead.
     """
 
     def __init__(
@@ -103,27 +97,19 @@ class GridClock:
         """Grid point of the current tick, ns of CLOCK_MONOTONIC; 0 before the first."""
         self.woke = 0
         """Measured start of the current tick, ns."""
-        self.skipped = 0
-        """Grid points without a tick."""
-        self.late = 0
-        """Ticks that began more than LATE after their grid point."""
 
     def wait(self) -> float:
         """Wait for the next grid point ahead; return the measured time of the tick (s)."""
         now = self._now()
         due = (self.due or now) + self.period_ns
         if now > due:
-            missed = -(-(now - due) // self.period_ns)
-            self.skipped += missed
-            due += missed * self.period_ns
+            due += -(-(now - due) // self.period_ns) * self.period_ns
         self.due = due
         while (woke := self._now()) < due - self._spin:  # a signal may have ended the sleep
             self._sleep_until(due - self._spin)
         while woke < due:
             woke = self._now()
         self.woke = woke
-        if woke - due > LATE:
-            self.late += 1
         return woke * 1e-9
 
 
