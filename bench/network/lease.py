@@ -63,13 +63,11 @@ def is_holder(name: str) -> bool:
     return 0 < len(name) <= MAX_HOLDER_LENGTH and name.isprintable() and name == name.strip()
 
 
-def is_duration(seconds: float) -> bool:
-    """Return whether `seconds` is a valid duration of a lease."""
-    return MIN_SECONDS <= seconds <= MAX_SECONDS
-
-
 class LeaseBook:
-    """The one lease of a bench. `now` is s on a clock that never goes back."""
+    """The one lease of a bench. `now` is s on a clock that never goes back.
+
+    Holders and durations are checked before, see `bench.network.command`.
+    """
 
     def __init__(self) -> None:
         self._lease: Lease | None = None
@@ -86,10 +84,7 @@ class LeaseBook:
 
         Raises:
             LeaseRefused: it is held, even by a holder of the same name, who has a separate key.
-            ValueError: `holder` or `seconds` is invalid (`is_holder`, `is_duration`).
         """
-        if not (is_holder(holder) and is_duration(seconds)):
-            raise ValueError(f"no lease for {holder!r} and {seconds!r} s")
         if lease := self.held(now):
             raise LeaseRefused(Refusal.HELD, _held_by(lease, now))
         self._given += 1
@@ -120,10 +115,7 @@ class LeaseBook:
 
         Raises:
             LeaseRefused: as `use`.
-            ValueError: `seconds` is invalid (`is_duration`).
         """
-        if not is_duration(seconds):
-            raise ValueError(f"no lease for {seconds!r} s")
         self._lease = replace(self.use(key, sequence, now), expiry=now + seconds, seconds=seconds)
         return self._lease
 
