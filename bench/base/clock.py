@@ -67,9 +67,6 @@ class PacedClock:
         return virtual
 
 
-LATE = 1_000_000
-"""Delay after which a tick counts as late, ns."""
-
 MAX_SPIN, SPIN_SHARE = 40_000, 0.04
 """Max time (ns) and share of the period for busy waiting at the end of a wait: it covers usual wake-up
 latencies and takes two per cent of a core on average."""

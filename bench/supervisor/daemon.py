@@ -309,7 +309,6 @@ class Daemon:
         _log.info("the loop is ready, a tick takes %.0f us", 1e-3 * report["tick_ns"])
         self._link.connect()
         self._timing = TimingReader(folder / TIMING_FILE)
-        stack.callback(self._timing.close)
         self._before_timing = self._timing.snapshot()
         self._summed_up = self._advanced = self._turned = time.monotonic()
         self._turn_gap = 0.0

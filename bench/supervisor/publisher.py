@@ -127,8 +127,8 @@ class Publisher:
         for entity in (self._telemetry, self._loop):
             entity.undeclare()
         close_session(self._session)
-        for shared in (self._heartbeat, self._ring, self._timing):
-            shared.close()
+        self._heartbeat.close()
+        self._ring.close()
 
     def _send(self, cycles: np.ndarray[Any, Any], utc: float) -> None:
         """Send one batch, whose newest cycle is at `utc` (s)."""

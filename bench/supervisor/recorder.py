@@ -201,7 +201,7 @@ class Recorder:
 
     def close(self) -> None:
         """Unmap the shared files."""
-        for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected, self._timing):
+        for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected):
             shared.close()
 
     def _read(self) -> Cycles:

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.clock import LATE
 from bench.base.errors import Refused
 from bench.supervisor.timing_record import (
     BUCKETS,
     FIRST_OCTAVE,
     LAST_OCTAVE,
+    LATE,
     LAYOUT,
     PER_OCTAVE,
     SEGMENTS,

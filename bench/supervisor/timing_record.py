@@ -9,8 +9,6 @@ to 134 ms.
 
 from __future__ import annotations
 
-import mmap
-import os
 from enum import IntEnum
 from hashlib import sha256
 from pathlib import Path
@@ -31,6 +29,10 @@ PER_OCTAVE = 16
 FIRST_OCTAVE, LAST_OCTAVE = 8, 27
 """Powers of two: durations below 256 ns share the first bucket, those from 134 ms on the last."""
 BUCKETS = 2 + PER_OCTAVE * (LAST_OCTAVE - FIRST_OCTAVE)
+
+
+LATE = 1_000_000
+"""Delay after which a tick counts as late, ns."""
 
 
 class Stall(IntEnum):
@@ -61,7 +63,7 @@ TIMING = np.dtype(
     ]
 )
 """Counters since the loop's start. `period`, `due` (grid point of the last tick) and `longest` in ns;
-`skipped` grid points without a tick; `late` ticks that woke more than `bench.base.clock.LATE` after theirs;
+`skipped` grid points without a tick; `late` ticks that woke more than LATE after theirs;
 `page_faults` and `preemptions` of the loop's thread; `stalls` by why: ticks that were late or followed
 skipped grid points."""
 
@@ -85,23 +87,13 @@ class TimingReader:
         Raises:
             SharedMemoryError: the file is missing, or has another layout.
         """
-        found = "no such file"
         try:
-            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-            try:
-                size = os.fstat(descriptor).st_size
-                found = f"{size} bytes"
-                if size == TIMING.itemsize:
-                    self._memory = mmap.mmap(descriptor, size, prot=mmap.PROT_READ)
-                    layout = int(self.snapshot()["layout"][0])
-                    if layout == LAYOUT:
-                        return
-                    found = f"layout {layout}"
-                    self._memory.close()
-            finally:
-                os.close(descriptor)
-        except OSError as error:
-            found = error.strerror or str(error)
+            self._counters = np.memmap(path, TIMING, "r", shape=1)
+            if (layout := int(self._counters["layout"][0])) == LAYOUT:
+                return
+            found = f"layout {layout}"
+        except (OSError, ValueError) as error:
+            found = getattr(error, "strerror", None) or str(error)
         raise SharedMemoryError(
             str(path),
             found,
@@ -111,11 +103,7 @@ class TimingReader:
 
     def snapshot(self) -> np.ndarray[Any, Any]:
         """Return a copy of the counters, a one-element array of TIMING."""
-        return np.frombuffer(self._memory[:], TIMING)
-
-    def close(self) -> None:
-        """Unmap; the file remains. May be called twice."""
-        self._memory.close()
+        return np.frombuffer(self._counters.tobytes(), TIMING)
 
 
 def percentile(count: NDArray[np.int64], share: float) -> int:

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -206,7 +206,7 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
         stack.callback(loop.end, 15.0)
         loop.wait_until_ready(START)
         link.connect()
-        timing = stack.enter_context(closing(TimingReader(owner.folder / TIMING_FILE)))
+        timing = TimingReader(owner.folder / TIMING_FILE)
         yield RunningLoop(link, loop, timing)
 
 

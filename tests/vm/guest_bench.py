@@ -152,7 +152,6 @@ class GuestBench:
         """Close the connections."""
         self.client.close()
         self.ring.close()
-        self.timing.close()
         self._report.close()
 
     def report(self) -> np.void:

@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bench.base.clock import LATE
 from bench.base.errors import ExitCode, Refused
 from bench.supervisor.tick_timing import (
     TickTiming,
@@ -25,6 +24,7 @@ from bench.supervisor.tick_timing import (
 )
 from bench.supervisor.timing_record import (
     BUCKETS,
+    LATE,
     SEGMENTS,
     STAMPS,
     TIMING,
@@ -204,7 +204,8 @@ def test_tick_timing_without_jit_counts_equally() -> None:
 @pytest.mark.live
 def test_timing_reader_in_other_process_reads_counts(tmp_path: Path) -> None:
     path = tmp_path / "timing"
-    with closing(create_timing(path, PERIOD)) as timing, closing(TimingReader(path)) as reader:
+    with closing(create_timing(path, PERIOD)) as timing:
+        reader = TimingReader(path)
         assert reader.snapshot()["ticks"][0] == 0
         program = (
             "import sys, json; from pathlib import Path\n"
@@ -223,8 +224,8 @@ def test_timing_reader_in_other_process_reads_counts(tmp_path: Path) -> None:
 
 def test_timing_reader_snapshot_is_constant_and_read_only(tmp_path: Path) -> None:
     path = tmp_path / "timing"
-    with closing(create_timing(path, PERIOD)) as timing, closing(TimingReader(path)) as reader:
-        snapshot = reader.snapshot()
+    with closing(create_timing(path, PERIOD)) as timing:
+        snapshot = TimingReader(path).snapshot()
         timing.note(stamps_of([5] * 6, PERIOD), PERIOD, PERIOD)
         assert snapshot["ticks"][0] == 0
         with pytest.raises(ValueError, match="read-only"):
@@ -233,9 +234,8 @@ def test_timing_reader_snapshot_is_constant_and_read_only(tmp_path: Path) -> Non
 
 def test_tick_timing_second_close_is_harmless(tmp_path: Path) -> None:
     timing = create_timing(tmp_path / "timing", PERIOD)
-    reader = TimingReader(tmp_path / "timing")
-    for side in (timing, reader, timing, reader):
-        side.close()
+    timing.close()
+    timing.close()
 
 
 @pytest.mark.parametrize("content", [b"", b"x" * 100, bytes(TIMING.itemsize), b"\xff" * TIMING.itemsize])
