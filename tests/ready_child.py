@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.supervisor.child import Child
+from bench.supervisor.child_process import Child
 
 
 def ready_child(module: str, plan: object, timeout: float = 100.0) -> Child:

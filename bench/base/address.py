@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 DATABASE_FILE = "golfbench.sqlite"
 """SQLite's file in the folder of records."""
+BENCH_ID = r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}"
+"""Pattern of a bench id, which is part of network keys and file names."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 """Name of a person or machine in a certificate."""
 
@@ -151,7 +153,7 @@ def _defaults() -> dict[str, Any]:
 
 def address_mistakes(of: Addressed) -> Iterator[Mistake]:
     """Yield the mistakes in name and addresses: key, found, expected, action."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", of.bench.id):
+    if not re.fullmatch(BENCH_ID, of.bench.id):
         expected = "letters, digits, - and _, at most 63"
         yield "bench.id", format_value(of.bench.id), expected, "It is part of addresses."
     network, inside = of.network, "tcp/127.0.0.1:PORT or tcp/[::1]:PORT, an address of this machine only"

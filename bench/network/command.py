@@ -300,8 +300,7 @@ def encode_answer(answer: CommandAnswer) -> bytes:
 
 def encode_error(error: BenchError) -> bytes:
     """Return `error` as the message that `parse_error` reads."""
-    parts = {name: getattr(error, name) for name in ErrorParts.__annotations__}
-    return json.dumps({"version": VERSION, "error": parts}).encode()
+    return json.dumps({"version": VERSION, "error": error.record()}).encode()
 
 
 def parse_answer(payload: bytes) -> CommandAnswer:

@@ -13,7 +13,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
 from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple
 
@@ -295,7 +294,11 @@ class CommandPlane:
         stops = (Verb.ESTOP, Request.EMERGENCY_STOP, CONVENIENCE), (Verb.STOP, Request.STOP, "")
         for verb, request, note in stops:
             if verb in verbs:
-                replies[verb] = self._asked(partial(self._service.stop, request))._replace(note=note)
+                try:
+                    reply = self._answer_of(self._service.stop(request))
+                except Exception as error:  # see _do
+                    reply = self._failed(error)
+                replies[verb] = reply._replace(note=note)
         for message in messages:
             try:
                 parse_command(message.verb, message.payload)
@@ -356,15 +359,8 @@ class CommandPlane:
             with self._book_lock:
                 self._book.use(key, sequence, self._clock())
         if verb is Verb.CORRECT:
-            return self._asked(lambda: self._service.correct(command.profile, command.weights))
-        return self._asked(lambda: self._service.request(REQUESTS[verb]))
-
-    def _asked(self, ask: Callable[[], CommandAnswer]) -> CommandAnswer:
-        """Return the desk's reply to `ask`; an exception counts as refused."""
-        try:
-            return self._answer_of(ask())
-        except Exception as error:  # see _do
-            return self._failed(error)
+            return self._answer_of(self._service.correct(command.profile, command.weights))
+        return self._answer_of(self._service.request(REQUESTS[verb]))
 
     def _failed(self, error: Exception) -> CommandAnswer:
         fact = f"the bench could not do it, {type(error).__name__}: {error}"

@@ -1,29 +1,37 @@
-"""The child's side of a supervised process: plan on stdin, JSON lines on stdout, heartbeat in shared memory.
+"""Child processes of the supervisor: plan on stdin, JSON lines on stdout, heartbeat in shared memory.
 
-The plan is a pickled frozen dataclass from the parent, through a file that no other process can write to.
+First the child's side. The plan is a pickled frozen dataclass from the parent, through a file that no other
+process can write to. Then the parent's side: children are started, read, monitored, restarted and stopped.
+Support processes (recorder, publisher and others) have a heartbeat. Arming requires recorder and publisher.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import pickle
+import select
 import signal
+import subprocess
 import sys
+import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.base.interrupt import HANGUP
 from bench.base.lifecycle import Cause
+from bench.swing.correction_terms import MAX_WEIGHTS
 from drivers.base import DriverError
-from drivers.base.compile_report import announce_compilation
+from drivers.base.compile_report import announce_compilation, report_compilation
 from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 
 if TYPE_CHECKING:  # each process loads only what it needs
@@ -81,6 +89,29 @@ class LaunchMonitorPlan:
 RING_FILE, TIMING_FILE, SNAPSHOT_FILE = "ring", "timing", "snapshot"
 """Names of the files written by the loop in the bench's folder in shared memory."""
 
+CORRECTION_FILE, CORRECTED_FILE = "correction", "corrected"
+"""Names of the files with the correction ordered by the supervisor, and the one active in the loop."""
+
+CORRECTION = np.dtype([("number", "i8"), ("size", "i8"), ("weights", "f8", (MAX_WEIGHTS,))], align=True)
+"""Order of a correction with `size` weights, 0 for the profile as designed; a new `number` is a new order."""
+
+CORRECTED = np.dtype([("asked", "i8"), ("tick", "i8"), ("order", CORRECTION)], align=True)
+"""`asked` is the number of the last order processed, `order` the one active since `tick`."""
+
+
+def pack_correction(number: int, weights: Sequence[float]) -> np.ndarray[Any, Any]:
+    """Return order `number` (one-element array of CORRECTION)."""
+    order = np.zeros(1, CORRECTION)
+    order["number"], order["size"] = number, len(weights)
+    order["weights"][0, : len(weights)] = weights
+    return order
+
+
+def weights_of(order: np.ndarray[Any, Any]) -> list[float]:
+    """Return the weights in `order` (one element of CORRECTION)."""
+    weights: list[float] = order["weights"].reshape(-1)[: int(order["size"].reshape(-1)[0])].tolist()
+    return weights
+
 
 def heartbeat_file(folder: Path, name: str) -> Path:
     """Return the file of the heartbeat of process `name` in the bench's `folder`."""
@@ -134,10 +165,10 @@ class HeartbeatSender:
         """Last heartbeat, initially that of the previous process."""
         self._shared.read(self.last)
 
-    def beat(self, time: float, condition: Condition, **figures: float) -> None:
-        """Write a heartbeat with `condition` and `figures` (fields of HEARTBEAT) at `time` (s)."""
+    def beat(self, now: float, condition: Condition, **figures: float) -> None:
+        """Write a heartbeat with `condition` and `figures` (fields of HEARTBEAT) at `now` (s)."""
         self.last["count"] += 1
-        self.last["time"], self.last["condition"] = time, condition
+        self.last["time"], self.last["condition"] = now, condition
         for name, value in figures.items():
             self.last[name] = value
         self._shared.write(self.last)
@@ -172,6 +203,21 @@ class Parent:
         self.stop_requested = True
 
 
+Service = TypeVar("Service")
+
+
+def begin_service(build: Callable[[Any], Service]) -> tuple[Parent, Service]:
+    """Return the parent and what `build` makes of its plan, and report ready; exit if that fails."""
+    parent = Parent()
+    try:
+        service = build(read_plan())
+    except (BenchError, SharedMemoryError, DriverError) as error:
+        sys.exit(send_failure(error))
+    parent.listen()
+    send_event("ready")
+    return parent, service
+
+
 def read_plan() -> Any:
     """Return the plan sent by the parent; from now on compilations are reported to it."""
     announce_compilation(lambda text: send_event("compiling", text=text))
@@ -199,3 +245,265 @@ def send_failure(error: BenchError | SharedMemoryError | DriverError) -> int:
         "failed", location=location, found=found, expected=expected, action=action, exit_code=int(code)
     )
     return int(code)
+
+
+# The parent's side -----------------------------------------------------------------------------------
+
+_log = logging.getLogger("golfbench")
+
+_READ = 65536
+
+
+class NotStarted(BenchError):
+    """A process of the bench did not become ready."""
+
+    exit_code = ExitCode.DEVICE
+
+
+class Child:
+    """One child process; `events` holds its received events."""
+
+    def __init__(self, name: str, process: subprocess.Popen[bytes]) -> None:
+        """Adopt `process`, whose stdout is a pipe of JSON lines."""
+        self.name, self.process = name, process
+        self.events: list[dict[str, Any]] = []
+        self._partial_line = b""
+        if process.stdout is not None:
+            os.set_blocking(process.stdout.fileno(), False)
+
+    @classmethod
+    def start(cls, name: str, module: str, plan: object, pass_fds: tuple[int, ...] = ()) -> Child:
+        """Start `python -m module` with `plan` pickled on its stdin, without waiting.
+
+        The plan is passed in a memory file: writing a large one to a pipe would block until the child reads.
+        Signals meant for the parent are blocked in the child from its first instruction on.
+        """
+        # The child gets this process' import path. Further BLAS threads disturb the timing. Arrow's own
+        # allocator keeps the memory of a record.
+        path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
+        with open(os.memfd_create("plan"), "w+b", buffering=0) as stdin:
+            stdin.write(pickle.dumps(plan))
+            stdin.seek(0)
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, FOR_PARENT)
+            try:
+                process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", module],
+                    bufsize=0,
+                    stdin=stdin,
+                    stdout=subprocess.PIPE,
+                    pass_fds=pass_fds,
+                    env={
+                        **os.environ,
+                        "PYTHONPATH": path,
+                        "OPENBLAS_NUM_THREADS": "1",
+                        "ARROW_DEFAULT_MEMORY_POOL": "system",
+                    },
+                )
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return cls(name, process)
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self.process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs or is stopped by a signal."""
+        return self.process.poll() is None
+
+    @property
+    def ending(self) -> str:
+        """How it ended, as text; empty while it runs."""
+        code = self.process.poll()
+        if code is None:
+            return ""
+        return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+
+    def listen(self) -> None:
+        """Read its events without blocking."""
+        if self.process.stdout is None or self.process.stdout.closed:
+            return
+        with suppress(BlockingIOError):
+            while new := os.read(self.process.stdout.fileno(), _READ):
+                self._partial_line += new
+        *lines, self._partial_line = self._partial_line.split(b"\n")
+        for line in lines:
+            with suppress(ValueError):
+                event = json.loads(line)
+                if isinstance(event, dict) and isinstance(event.get("event"), str):
+                    self.events.append(event)
+
+    def take_events(self) -> list[dict[str, Any]]:
+        """Return its events since the last call."""
+        self.listen()
+        taken, self.events = self.events, []
+        return taken
+
+    def wait_until_ready(self, timeout: float) -> dict[str, Any]:
+        """Wait up to `timeout` (s) for its event `ready` and return it; again as long while it compiles.
+
+        Raises:
+            NotStarted: it reported a failure, ended, or the time-out expired.
+        """
+        deadline = time.monotonic() + timeout
+        stdout = self.process.stdout
+        while time.monotonic() < deadline:
+            ended = not self.alive
+            self.listen()
+            while self.events:
+                event = self.events.pop(0)  # later events remain for `take_events`
+                if event["event"] == "ready":
+                    return event
+                if event["event"] == "failed":
+                    raise self._failure(event)
+                if event["event"] == "compiling":
+                    report_compilation(str(event.get("text", "")))
+                    deadline = time.monotonic() + timeout
+            if ended:
+                raise NotStarted(
+                    f"{self.name} process",
+                    self.ending,
+                    "a ready process",
+                    "See the output of the process above.",
+                )
+            select.select([stdout] if stdout else [], [], [], 0.1)
+        raise NotStarted(
+            f"{self.name} process",
+            f"not ready after {timeout:g} s",
+            "a ready process",
+            "Check the load of the machine with `golfbench doctor`, then start again.",
+        )
+
+    def _failure(self, event: dict[str, Any]) -> NotStarted:
+        error = NotStarted(
+            str(event.get("location", f"{self.name} process")),
+            str(event.get("found", event.get("reason", event.get("text", "it failed")))),
+            str(event.get("expected", "it to become ready")),
+            str(event.get("action", "See its output above.")),
+        )
+        with suppress(ValueError):
+            error.exit_code = ExitCode(event.get("exit_code", ExitCode.DEVICE))
+        return error
+
+    def end(self, timeout: float) -> None:
+        """Terminate it, wait up to `timeout` (s), then kill it; allowed when it has ended."""
+        with suppress(ProcessLookupError):
+            self.process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(timeout)
+        self.kill()
+
+    def kill(self) -> None:
+        """Kill it and close its pipe."""
+        with suppress(ProcessLookupError):
+            self.process.kill()
+        self.process.wait()
+        self.listen()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+
+_SILENCE = 5.0
+"""Heartbeat time-out after which a process is not ready, s; storing a swing may take some seconds on a busy
+machine, and the ring keeps 16 s."""
+_FROZEN = 12.0
+"""Heartbeat time-out after which a process is killed and restarted, s."""
+_PAUSE = 1.0
+"""Delay before a restart, s."""
+_TIMEOUT = 12.0
+"""Time a process may take to end and store its data, s."""
+
+
+class LastHeartbeat(NamedTuple):
+    """Last heartbeat of a process and its time (s, supervisor clock)."""
+
+    condition: Condition
+    beats: int
+    time: float
+
+
+class ManagedProcess:
+    """One support process."""
+
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        start: Callable[[], Child],
+        listener: Callable[[dict[str, Any]], None] = lambda _: None,
+    ) -> None:
+        """Create its heartbeat's file in the bench's `folder`; `start` starts it, `listener` gets its events.
+
+        Raises:
+            SharedMemoryError: the file cannot be created.
+        """
+        self.name, self._start, self._listener = name, start, listener
+        self._shared = SharedRecord.create(heartbeat_file(folder, name), HEARTBEAT)
+        self._beat = np.zeros(1, HEARTBEAT)
+        self._heartbeat = LastHeartbeat(Condition.STARTING, -1, -np.inf)
+        self.child: Child | None = None
+        self._died = -np.inf
+        self._ending = False
+        self.note = "starting"
+        """Condition as text; empty while working."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is working."""
+        return not self.note
+
+    @property
+    def starting(self) -> bool:
+        """Whether it has not worked yet; the first time it compiles."""
+        return self._heartbeat.condition is Condition.STARTING
+
+    def turn(self, now: float) -> None:
+        """Check it at `now` (s); start it if it does not run."""
+        if self.child is not None and not self.child.alive:
+            _log.error("%s %s; restarting", self.name, self.child.ending)
+            self.child.kill()
+            self.child, self._died = None, now
+        if self._ending:
+            return
+        if self.child is None:
+            self.note = "dead, restarting"
+            if now - self._died < _PAUSE:
+                return
+            self.child, self._heartbeat = self._start(), LastHeartbeat(Condition.STARTING, -1, now)
+        self._shared.read(self._beat)
+        count, condition = int(self._beat["count"][0]), Condition(int(self._beat["condition"][0]))
+        if self._heartbeat.beats == -1:
+            # the first value is from the previous process
+            self._heartbeat = LastHeartbeat(Condition.STARTING, count, now)
+        elif count != self._heartbeat.beats:
+            self._heartbeat = LastHeartbeat(condition, count, now)
+        self.note = self._fault(now)
+        if self._heartbeat.condition is not Condition.STARTING and now - self._heartbeat.time > _FROZEN:
+            self.child.kill()  # restarted in the next turns
+        for event in self.child.take_events():
+            if event["event"] in {"fault", "dropped", "failed", "recovered"}:
+                _log.warning("%s: %s", self.name, event)
+            else:
+                self._listener(event)
+
+    def _fault(self, now: float) -> str:
+        condition, silent = self._heartbeat.condition, now - self._heartbeat.time
+        if self.starting:
+            return "starting"
+        if silent > _SILENCE:
+            return f"silent for {silent:.1f} s"
+        return "" if condition is Condition.WORKING else condition.name.lower()
+
+    def stop_restarting(self) -> None:
+        """Do not restart it from now on: the bench is shutting down."""
+        self._ending = True
+
+    def end(self) -> None:
+        """Stop it after it has stored its data. May be called twice."""
+        self.stop_restarting()
+        if self.child is not None:
+            self.child.end(_TIMEOUT)
+            self.child = None
+        self._shared.close()

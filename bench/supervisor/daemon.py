@@ -33,6 +33,7 @@ from bench.network.bench_service import (
     LaunchMonitorStatus,
     LeaseStatus,
     LoopStatus,
+    ProcessStatus,
     refused,
 )
 from bench.network.command_plane import CommandPlane
@@ -41,24 +42,23 @@ from bench.network.zenoh_session import close_session, open_daemon
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication
 from bench.records.telemetry.swing_metadata import run_id, versions
-from bench.supervisor.child import Child, ManagedProcess
-from bench.supervisor.child_process import TIMING_FILE, LaunchMonitorPlan, LoopPlan
+from bench.supervisor.child_process import TIMING_FILE, Child, LaunchMonitorPlan, LoopPlan, ManagedProcess
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import Ownership, take_bench
 from bench.supervisor.publisher import PublisherPlan
 from bench.supervisor.readiness import arming_block, assess, assess_bench
 from bench.supervisor.recorder import RecorderPlan
-from bench.supervisor.run_marker import RunMarker
-from bench.supervisor.service_notify import ServiceNotifier, watchdog_interval
 from bench.supervisor.status import (
     BEFORE,
     NO_LAUNCH_MONITOR,
-    NO_STATISTICS,
+    RunMarker,
     cause_text,
     disarmed_for,
+    notify_service,
     stall_note,
     status_of,
     supervisor_note,
+    watchdog_interval,
 )
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import basis_of, digest_of
@@ -131,7 +131,6 @@ class Daemon:
         """Warnings of the latest swing's record."""
         self._plane: CommandPlane | None = None
         self._real_time: dict[str, Any] = {}
-        self._statistics: LoopStatus = NO_STATISTICS
         self._device = DeviceStatus(fault="", counters={})
         self._swings = 0
         self._stall = ""
@@ -205,12 +204,12 @@ class Daemon:
 
     def status(self) -> BenchStatus:
         """Return the status; the command plane adds `lease` and `counts`."""
-        support = {supporter.name: supporter for supporter in self._attending}
-        children = self.children | {name: s.child for name, s in support.items() if s.child is not None}
+        children = [("loop", self.children["loop"], "")]
+        children += [(one.name, one.child, one.note) for one in self._attending if one.child is not None]
         return status_of(
             self._link.newest(),
-            children,
-            {name: s.note for name, s in support.items()},
+            self._stall,
+            self._disarmed,
             bench=self.configuration.bench.id,
             swings=self._swings,
             drift=self._drift,
@@ -224,13 +223,15 @@ class Daemon:
             readiness_warnings=list(self._readiness.warnings),
             support_ready=self._support_ready,
             launch_monitor=self._launch_monitor_status(),
+            processes={
+                name: ProcessStatus(pid=child.pid, alive=child.alive, note=child.ending or note)
+                for name, child, note in children
+            },
             device=self._device,
             loop=self._statistics,
             real_time=self._real_time,
             last_stop=self._marker.last_stop,
             uptime=time.monotonic() - self._started,
-            stall=self._stall,
-            disarmed=self._disarmed,
         )
 
     @property
@@ -268,12 +269,10 @@ class Daemon:
             clean = False
             stack.callback(lambda: self._marker.end(clean=clean))
             self._marker.begin(os.getpid(), self._now().isoformat())
-            notifier = ServiceNotifier(os.environ)
-            stack.callback(notifier.close)
             try:
                 self._start(stack, owner)
-                self._live(notifier, stop, ready)
-                notifier.stopping()
+                self._live(stop, ready)
+                notify_service("STOPPING=1")
                 self._bring_to_end()
                 clean = True
             except Exception:
@@ -311,6 +310,7 @@ class Daemon:
         self._timing = TimingReader(folder / TIMING_FILE)
         self._before_timing = self._timing.snapshot()
         self._summed_up = self._advanced = self._turned = time.monotonic()
+        self._statistics = self._statistics_of(self._before_timing, np.inf)
         self._turn_gap = 0.0
         self._reopening_until = -np.inf
         self._before = State.STARTING, Phase.STANDING, Reaction.NONE, Cause.NONE
@@ -374,7 +374,7 @@ class Daemon:
         )
         return Child.start("launch monitor", "bench.supervisor.launch_monitor", plan)
 
-    def _live(self, notifier: ServiceNotifier, stop: StopFlag, ready: Callable[[], None]) -> None:
+    def _live(self, stop: StopFlag, ready: Callable[[], None]) -> None:
         """Run until asked to stop; reset systemd's watchdog only while the loop advances.
 
         Raises:
@@ -388,10 +388,10 @@ class Daemon:
             self._turn(now)
             if latest is not None and (now > latest or not any(s.starting for s in self._support)):
                 latest = None
-                notifier.ready(f"bench {self.configuration.bench.id}: {self._link.state}")
+                notify_service(f"READY=1\nSTATUS=bench {self.configuration.bench.id}: {self._link.state}")
                 ready()
             if interval is not None and now - notified >= interval / 3 and self._advanced == now:
-                notifier.alive()
+                notify_service("WATCHDOG=1")
                 notified = now
 
     def _turn(self, now: float) -> None:
@@ -430,10 +430,15 @@ class Daemon:
     def _sum_up(self, now: float) -> None:
         """Update the loop statistics since the last call."""
         after = self._timing.snapshot()
+        self._statistics = self._statistics_of(after, now - self._summed_up)
+        self._before_timing, self._summed_up = after, now
+
+    def _statistics_of(self, after: np.ndarray[Any, Any], seconds: float) -> LoopStatus:
+        """Return the loop statistics of the `seconds` up to the snapshot `after`."""
         timing = summary(after, self._before_timing)
         wake, tick = timing["segments"]["wake_up"], timing["segments"]["tick"]
-        self._statistics = LoopStatus(
-            rate_hz=timing["ticks"] / (now - self._summed_up),
+        return LoopStatus(
+            rate_hz=timing["ticks"] / seconds,
             skipped=int(after["skipped"][0]),
             late=int(after["late"][0]),
             page_faults=int(after["page_faults"][0]),
@@ -443,7 +448,6 @@ class Daemon:
             wake_p99_s=1e-6 * (wake["p99_us"] or 0.0),
             tick_p99_s=1e-6 * (tick["p99_us"] or 0.0),
         )
-        self._before_timing, self._summed_up = after, now
 
     def _watch_loop(self, now: float) -> None:
         """Process the loop's records and events since the last turn.

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.base.errors import BenchError, ExitCode
+from bench.base.errors import ExitCode
 from bench.base.lifecycle import State
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
 from bench.records.shot.recorded_shot import shot_to_json, warm_up_shots
@@ -38,13 +38,10 @@ from bench.supervisor.child_process import (
     Condition,
     HeartbeatSender,
     LaunchMonitorPlan,
-    Parent,
-    read_plan,
+    begin_service,
     send_event,
-    send_failure,
 )
 from drivers.base import DriverError
-from drivers.base.shared_memory import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient
 from drivers.launch_monitor.server import LaunchMonitorServer
 
@@ -106,6 +103,7 @@ class LaunchMonitorService:
         Raises:
             BenchError, SharedMemoryError: a shared file is unusable.
         """
+        warm_up_shots(plan.plant, plan.around)
         settings = plan.settings
         self._stack = ExitStack()
         try:
@@ -255,15 +253,7 @@ def message_of(told: SettledOutcome) -> ShotPublication:
 
 def main() -> int:
     """Run until stopped by the supervisor or orphaned."""
-    parent = Parent()
-    try:
-        plan: LaunchMonitorPlan = read_plan()
-        warm_up_shots(plan.plant, plan.around)
-        service = LaunchMonitorService(plan)
-    except (BenchError, SharedMemoryError, DriverError) as error:
-        return send_failure(error)
-    parent.listen()
-    send_event("ready")
+    parent, service = begin_service(LaunchMonitorService)
     try:
         while not (parent.stop_requested or parent.gone):
             service.turn(time.monotonic(), datetime.now(UTC))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,12 @@ import numpy as np
 from bench.base.lifecycle import Answer, Refusal, Request, State
 from bench.network.bench_service import CommandAnswer, refused
 from bench.records.telemetry.ring import RingReader
-from bench.supervisor.child_process import RING_FILE
-from bench.supervisor.correction import (
+from bench.supervisor.child_process import (
     CORRECTED,
     CORRECTED_FILE,
     CORRECTION,
     CORRECTION_FILE,
+    RING_FILE,
     pack_correction,
 )
 from bench.supervisor.status import refusal_words
@@ -118,21 +118,28 @@ class LoopLink:
             number = int(self._orders["request_number"][0]) + 1
             lease = int(self._orders["lease"][0])
             self._order(request=request, request_number=number, request_lease=lease)
-            if (reply := self._answer_to(number)) is None:
+            if (reply := self._wait(lambda: self._answer_to(number))) is None:
                 self._order(request=0)
-                reply = self._answer_to(number)  # taken just before
+                reply = self._wait(lambda: self._answer_to(number))  # taken just before
         return reply or refused(self.state, Refusal.LOOP_SILENT)
 
     def _answer_to(self, number: int) -> CommandAnswer | None:
-        """Wait for the answer to request `number`; None after the time-out."""
+        newest = self.newest()
+        if newest is None or newest["request_number"][0] < number:
+            return None
+        state = State(int(newest["state"][0])).name
+        if newest["answer"][0] == Answer.ACCEPTED:
+            return CommandAnswer(True, state)
+        refusal = Refusal(int(newest["refusal"][0]))
+        return refused(state, refusal, *refusal_words(refusal, self.fault))
+
+    def _wait(self, answer: Callable[[], CommandAnswer | None]) -> CommandAnswer | None:
+        """Return the `answer` of the loop as soon as there is one; None after the time-out."""
         deadline = time.monotonic() + _ANSWER
         while True:
             late = time.monotonic() >= deadline  # looked at once more: this process may have stood still
-            newest = self.newest()
-            if newest is not None and newest["request_number"][0] >= number:
-                return _reply(newest, self.fault)
-            if late:
-                return None
+            if (found := answer()) is not None or late:
+                return found
             time.sleep(_POLL_PERIOD)
 
     def correct(self, weights: Sequence[float]) -> CommandAnswer:
@@ -140,15 +147,15 @@ class LoopLink:
         with self._request_lock:
             self._corrections_ordered += 1
             self._corrections.write(pack_correction(self._corrections_ordered, weights))
-            deadline = time.monotonic() + _ANSWER
-            while time.monotonic() < deadline:
-                active = self._active_correction()
-                if active["asked"] == self._corrections_ordered:
-                    if active["order"]["number"] == self._corrections_ordered:
-                        return CommandAnswer(True, self.state)
-                    return refused(self.state, Refusal.MOVING, action="correct it at rest or at address")
-                time.sleep(_POLL_PERIOD)
-        return refused(self.state, Refusal.LOOP_SILENT)
+            return self._wait(self._answer_to_correction) or refused(self.state, Refusal.LOOP_SILENT)
+
+    def _answer_to_correction(self) -> CommandAnswer | None:
+        active = self._active_correction()
+        if active["asked"] != self._corrections_ordered:
+            return None
+        if active["order"]["number"] == self._corrections_ordered:
+            return CommandAnswer(True, self.state)
+        return refused(self.state, Refusal.MOVING, action="correct it at rest or at address")
 
     @property
     def correction(self) -> int:
@@ -168,23 +175,13 @@ class LoopLink:
         with self._order_lock:
             self._orders[counter] += 1
             self._shared.write(self._orders)
-        deadline = time.monotonic() + _ANSWER
-        while time.monotonic() < deadline:
-            if self._stops_seen[request] > seen:
-                return CommandAnswer(True, self.state)
-            time.sleep(_POLL_PERIOD)
-        return refused(self.state, Refusal.LOOP_SILENT)
+        accepted = self._wait(
+            lambda: CommandAnswer(True, self.state) if self._stops_seen[request] > seen else None
+        )
+        return accepted or refused(self.state, Refusal.LOOP_SILENT)
 
     def _order(self, **values: int) -> None:
         with self._order_lock:
             for name, value in values.items():
                 self._orders[name] = value
             self._shared.write(self._orders)
-
-
-def _reply(newest: Cycles, fault: str) -> CommandAnswer:
-    state = State(int(newest["state"][0])).name
-    if newest["answer"][0] == Answer.ACCEPTED:
-        return CommandAnswer(True, state)
-    refusal = Refusal(int(newest["refusal"][0]))
-    return refused(state, refusal, *refusal_words(refusal, fault))

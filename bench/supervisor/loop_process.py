@@ -45,10 +45,9 @@ from bench.supervisor.child_process import (
     send_event,
     send_failure,
 )
-from bench.supervisor.correction import CorrectionReader
 from bench.supervisor.ownership import adopt
 from bench.supervisor.real_time import real_time
-from bench.supervisor.supervision import SUPERVISION_FILE, Orders
+from bench.supervisor.supervision import SUPERVISION_FILE, CorrectionReader, Orders
 from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing, new_timing
 from bench.supervisor.timing_record import Stall
 from drivers.base import Driver, DriverError

@@ -18,6 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, Self
 
+from bench.base.address import BENCH_ID
 from bench.base.errors import BenchError, ExitCode, Refused
 
 
@@ -34,9 +35,6 @@ def try_lock(descriptor: int) -> bool:
 
 MEMORY = Path("/dev/shm")  # noqa: S108 - the folder made in it is checked to be ours alone
 """Folder of shared memory, unless systemd provides another one."""
-
-BENCH_ID = r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}"
-"""Pattern of a bench id, which is part of network keys and file names."""
 
 
 def bench_folder(bench_id: str, memory: Path = MEMORY) -> Path:

@@ -27,7 +27,7 @@ import numpy as np
 import zenoh
 
 from bench.base.address import NetworkSettings
-from bench.base.errors import BenchError, ExitCode
+from bench.base.errors import ExitCode
 from bench.network.messages import LOOP_VERSION
 from bench.network.zenoh_session import close_session, open_client
 from bench.records.telemetry.batches import encode_batch
@@ -38,13 +38,10 @@ from bench.supervisor.child_process import (
     TIMING_FILE,
     Condition,
     HeartbeatSender,
-    Parent,
-    read_plan,
+    begin_service,
     send_event,
-    send_failure,
 )
 from bench.supervisor.timing_record import TimingReader, summary
-from drivers.base.shared_memory import SharedMemoryError
 
 PERIOD = 0.02
 """Period of the batches, s."""
@@ -162,14 +159,7 @@ class Publisher:
 
 def main() -> int:
     """Publish until stopped by the supervisor or orphaned."""
-    parent = Parent()
-    try:
-        plan: PublisherPlan = read_plan()
-        publisher = Publisher(plan, time.monotonic())
-    except (BenchError, SharedMemoryError) as error:
-        return send_failure(error)
-    parent.listen()
-    send_event("ready")
+    parent, publisher = begin_service(lambda plan: Publisher(plan, time.monotonic()))
     while not (ending := parent.stop_requested or parent.gone):
         began = time.monotonic()
         publisher.turn(began, time.time())

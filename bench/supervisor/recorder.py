@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet  # noqa: F401 - now, not at the first record of a running bench
 
-from bench.base.errors import BenchError, ExitCode
+from bench.base.errors import ExitCode
 from bench.base.lifecycle import Cause, State
 from bench.records.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
 from bench.records.shot.strike import DriftMonitor, ball_struck, strike_seen
@@ -45,21 +45,21 @@ from bench.records.telemetry.ring import RingReader
 from bench.records.telemetry.swing_cutter import Cycles, RecordSegment, SwingSegmenter
 from bench.records.telemetry.swing_metadata import begin_of, profile_entry, run_entries, since, swing_metadata
 from bench.supervisor.child_process import (
+    CORRECTED,
+    CORRECTED_FILE,
     RING_FILE,
     SNAPSHOT_FILE,
     TIMING_FILE,
     Condition,
     HeartbeatSender,
-    Parent,
-    read_plan,
+    begin_service,
     send_event,
-    send_failure,
+    weights_of,
 )
-from bench.supervisor.correction import CORRECTED, CORRECTED_FILE, weights_of
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
-from drivers.base.shared_memory import SharedMemoryError, SharedRecord
+from drivers.base.shared_memory import SharedRecord
 from sim.plant import PlantParameters
 
 POLL = 0.01
@@ -118,7 +118,9 @@ class Recorder:
             BenchError, SharedMemoryError: the ring or another shared file is unusable, or the plan's metadata
                 cannot be written as JSON.
         """
-        self._plan = plan
+        if plan.plant is not None:
+            warm_up_shots(plan.plant, plan.around)  # the first time it compiles
+        self.plan = plan
         self._entries = run_entries(plan.run, plan.profile)
         folder = plan.folder
         self._heartbeat = HeartbeatSender(folder, "recorder")
@@ -180,12 +182,12 @@ class Recorder:
         cycles = self._read()
         if len(cycles):
             self._tick, self._last_cycle_at = int(cycles["tick"][-1]), now
-            paced = None if self._plan.wall else newest
+            paced = None if self.plan.wall else newest
             self._utc_less_loop = utc - (now if paced is None else float(paced["time"][0]))
         lost, self._lost = self._ring.lost - self._past_lost - self._lost, self._ring.lost - self._past_lost
         for cut in self._cutter.take(cycles, lost):
             self._keep(cut)
-        if self._cutter.moving and now - self._last_cycle_at > self._plan.silence:
+        if self._cutter.moving and now - self._last_cycle_at > self.plan.silence:
             self._finish("the loop fell silent", keep=True)
         self._store(now, at_once=ending)
         self._report(now, Condition.ENDING if ending else Condition.WORKING)
@@ -214,7 +216,7 @@ class Recorder:
 
     def _note_snapshot(self) -> None:
         """Store the newest snapshot if new."""
-        found = np.zeros(1, self._plan.snapshot_dtype)
+        found = np.zeros(1, self.plan.snapshot_dtype)
         self._note_correction()
         if self._snapshot.read(found) and all(s["tick"][0] != found["tick"][0] for s in self._snapshots):
             self._snapshots.append(found)
@@ -233,7 +235,7 @@ class Recorder:
         held = [c["order"] for c in self._corrections if c["tick"][0] <= tick]
         if not held or not (weights := weights_of(held[-1])):
             return self._entries
-        corrected = self._plan.basis.corrected(self._plan.profile, weights)
+        corrected = self.plan.basis.corrected(self.plan.profile, weights)
         beside = {"correction": {"number": int(held[-1]["number"][0]), "weights": weights}}
         return {**self._entries, "profile": profile_entry(corrected) | beside}
 
@@ -271,7 +273,7 @@ class Recorder:
 
     def _drift_of(self, cut: RecordSegment, metadata: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return speed and place of the head at the ball against the swings before; None without a strike."""
-        plant = self._plan.run["configuration"].get("plant")
+        plant = self.plan.run["configuration"].get("plant")
         encoders = plant.get("encoders") if isinstance(plant, Mapping) else None
         counts = encoders.get("counts_per_revolution", 0) if isinstance(encoders, Mapping) else 0
         if not counts or cut.lost or metadata["outcome"]["cause"] != Cause.NONE.name:
@@ -311,12 +313,12 @@ class Recorder:
 
     def _shot_of(self, stored: SwingRecord) -> dict[str, Any] | None:
         """Return a swing's row of the shot table; None of another record, or if the plan asks for none."""
-        if self._plan.plant is None or stored.metadata["kind"] != "swing":
+        if self.plan.plant is None or stored.metadata["kind"] != "swing":
             return None
         shot = shot_of_cycles(
             stored.cycles,
-            self._plan.plant,
-            self._plan.around,
+            self.plan.plant,
+            self.plan.around,
             number=stored.metadata["number"],
             time_utc=stored.time_utc,
         )
@@ -326,7 +328,7 @@ class Recorder:
         """Send a heartbeat and report changes to the parent."""
         if now >= self._next_check:
             self._next_check = now + _CHECK_PERIOD
-            self._folder_fault = folder_fault(self._swings, self._plan.least_free)
+            self._folder_fault = folder_fault(self._swings, self.plan.least_free)
         fault = self._queue.fault or self._folder_fault
         if fault and not self._fault_reported:
             send_event("fault", text=fault, waiting=len(self._queue))
@@ -360,23 +362,14 @@ def _begin(cycles: Cycles) -> int | None:
 
 def main() -> int:
     """Record until stopped by the supervisor or orphaned."""
-    parent = Parent()
-    try:
-        plan: RecorderPlan = read_plan()
-        if plan.plant is not None:
-            warm_up_shots(plan.plant, plan.around)  # the first time it compiles
-        recorder = Recorder(plan, time.monotonic())
-    except (BenchError, SharedMemoryError) as error:
-        return send_failure(error)
-    parent.listen()
-    send_event("ready")
+    parent, recorder = begin_service(lambda plan: Recorder(plan, time.monotonic()))
     last = None
     while True:
         now, ending = time.monotonic(), parent.stop_requested or parent.gone
         if recorder.turn(now, time.time(), ending=ending):
             continue
         if ending:
-            last = last or now + plan.timeout
+            last = last or now + recorder.plan.timeout
             # A loop without its supervisor stops the robot; that is worth a record.
             if now > last or not (recorder.moving if parent.gone else recorder.worth_waiting):
                 break

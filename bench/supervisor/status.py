@@ -1,13 +1,22 @@
-"""Status of a bench for `golfbench status`, and the stalls of the computer that caused a stop."""
+"""What the supervisor reports: status, stalls of the computer that caused a stop, systemd, the next run."""
 
 from __future__ import annotations
 
+import json
+import logging
+import os
+import socket
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from math import isfinite
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
+from bench.base.atomic_file import atomic_file
+from bench.base.errors import BenchError
 from bench.base.json_schema import json_value
 from bench.base.lifecycle import (
     CAUSE_TEXT,
@@ -28,11 +37,10 @@ from bench.network.bench_service import (
     BenchStatus,
     CauseStatus,
     LaunchMonitorStatus,
-    LoopStatus,
-    ProcessStatus,
 )
 from bench.records.telemetry.cycle_record import CYCLE
-from bench.supervisor.child import Child
+
+_log = logging.getLogger("golfbench")
 
 _ENCODERS = (Cause.SHOULDER_ENCODER, Cause.ARM_ENCODER, Cause.WRIST_ENCODER)
 _JUMPS = (Cause.SHOULDER_JUMP, Cause.ARM_JUMP, Cause.WRIST_JUMP)
@@ -107,19 +115,6 @@ def supervisor_note(cause: Cause, gap: float, silence: float) -> str:
 
 Cycles = np.ndarray[Any, Any]
 
-NO_STATISTICS = LoopStatus(
-    rate_hz=0.0,
-    skipped=0,
-    late=0,
-    page_faults=0,
-    preemptions=0,
-    stalls={},
-    wake_p50_s=0.0,
-    wake_p99_s=0.0,
-    tick_p99_s=0.0,
-)
-"""Loop status before timing is measured (first second) and on a virtual clock."""
-
 NO_LAUNCH_MONITOR = LaunchMonitorStatus(
     listening="",
     presence="connected",
@@ -136,19 +131,11 @@ NO_LAUNCH_MONITOR = LaunchMonitorStatus(
 """Status before the first report of the launch monitor process."""
 
 
-def status_of(
-    newest: Cycles | None,
-    children: Mapping[str, Child],
-    notes: Mapping[str, str],
-    stall: str = "",
-    disarmed: Cause = Cause.NONE,
-    **beside: Any,
-) -> BenchStatus:
+def status_of(newest: Cycles | None, stall: str, disarmed: Cause, **beside: Any) -> BenchStatus:
     """Return the status from the loop's `newest` record (None if it has not run yet).
 
-    `notes` are remarks on the `children`; `stall` is what `stall_note` found at the stop; `disarmed` is why
-    the robot was disarmed since it last moved; `beside` are the keys of the status not in the record.
-    The command plane adds lease and counts.
+    `stall` is what `stall_note` found at the stop; `disarmed` is why the robot was disarmed since it last
+    moved; `beside` are the keys of the status not in the record. The command plane adds lease and counts.
     """
     r = np.zeros(1, CYCLE)[0] if newest is None else newest[0]
     cause, latest = Cause(int(r["cause"])), Cause(int(r["latest_cause"]))
@@ -175,10 +162,6 @@ def status_of(
         "guard_closed": bool(r["guard_closed"]),
         "guard_locked": bool(r["guard_locked"]),
         "ball_present": bool(r["ball_present"]),
-        "processes": {
-            name: ProcessStatus(pid=child.pid, alive=child.alive, note=child.ending or notes.get(name, ""))
-            for name, child in children.items()
-        },
         "counts": {"commands": 0, "refused": 0, "malformed": 0, "dropped": 0},
         **beside,
     }
@@ -229,3 +212,107 @@ def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:
 def _position(seen: float) -> bool | None:
     """Return whether a valve is seen open; None without feedback."""
     return bool(seen) if isfinite(seen) else None
+
+
+# State kept between two runs of a bench ---------------------------------------------------------------
+
+
+class RunMarker:
+    """The file `state/<bench id>.json` in the data folder, written by a separate thread.
+
+    A disk write may take longer than the supervisor's heartbeat time-out.
+    """
+
+    def __init__(self, data_dir: Path, bench_id: str) -> None:
+        """Read the state of the previous run.
+
+        Raises:
+            BenchError: the folder cannot be created.
+        """
+        self.path = data_dir / "state" / f"{bench_id}.json"
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BenchError(
+                str(self.path.parent),
+                str(error.strerror),
+                "a folder that can be created",
+                "Set bench.data_dir to a folder with write access.",
+            ) from error
+        before: Mapping[str, Any] = {}
+        with suppress(OSError, ValueError):  # missing or corrupt: start without state
+            before = json.loads(self.path.read_text(encoding="utf-8"))
+            before = before if isinstance(before, dict) else {}
+        self.was_killed = bool(before.get("running"))
+        """Whether the previous shutdown was unclean."""
+        self.last_stop: dict[str, Any] | None = before.get("last_stop")
+        """Last stop, also of previous runs."""
+        if self.was_killed and not before.get("stopped"):
+            self.last_stop = {
+                "cause": "RESTART",
+                "text": "the supervisor was killed, or the machine lost power",
+                "state": before.get("state", ""),
+                "phase": before.get("phase", ""),
+                "run_started_utc": before.get("started_utc"),
+            }
+        self._content: dict[str, Any] = {}
+        self._writer = ThreadPoolExecutor(1, "run marker")
+
+    def begin(self, pid: int, started_utc: str) -> None:
+        """Mark this run as started; until `end` it counts as killed."""
+        self._put({"version": 1, "running": True, "pid": pid, "started_utc": started_utc})
+
+    def note_state(self, state: str, phase: str) -> None:
+        """Store state and phase, for a later report on a killed run."""
+        self._put({**self._content, "state": state, "phase": phase})
+
+    def note_stop(self, stop: dict[str, Any], *, fatal: bool = False) -> None:
+        """Store `stop`; `fatal` marks that the run ends with it."""
+        self.last_stop = stop
+        self._put({**self._content, **({"stopped": True} if fatal else {})})
+
+    def end(self, *, clean: bool) -> None:
+        """Store whether the shutdown was clean, and wait until it is written."""
+        if clean:
+            self._put({**self._content, "running": False})
+        self._writer.shutdown()
+
+    def _put(self, content: dict[str, Any]) -> None:
+        self._content = {**content, "last_stop": self.last_stop}
+        self._writer.submit(self._write, json.dumps(self._content, indent=1).encode())
+
+    def _write(self, content: bytes) -> None:
+        try:
+            with atomic_file(self.path) as stream:
+                stream.write(content)
+        except BenchError as error:
+            _log.warning("state of the bench not stored: %s", error)
+
+
+# systemd ---------------------------------------------------------------------------------------------
+
+
+def notify_service(message: str, environment: Mapping[str, str] = os.environ) -> bool:
+    """Send `message` to systemd (sd_notify(3)), without waiting; return whether it was sent.
+
+    Without systemd, or with its socket gone or full, nothing is sent.
+    """
+    address = environment.get("NOTIFY_SOCKET", "")
+    if address[:1] not in ("/", "@"):
+        return False
+    name = os.fsencode(address.replace("@", "\0", 1) if address[:1] == "@" else address)
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.setblocking(False)
+        sender.sendto(message.encode(), name)
+        return True
+    return False
+
+
+def watchdog_interval(environment: Mapping[str, str], pid: int) -> float | None:
+    """Return systemd's watchdog time for process `pid` (s), None if not watched."""
+    try:
+        interval = int(environment["WATCHDOG_USEC"]) * 1e-6
+        watched = int(environment.get("WATCHDOG_PID", pid))
+    except (KeyError, ValueError):
+        return None
+    return interval if interval > 0.0 and watched == pid else None

@@ -1,4 +1,4 @@
-"""Orders of the supervisor to the loop: heartbeat, permissions and requests."""
+"""Orders of the supervisor to the loop: heartbeat, permissions, requests, learned corrections."""
 
 from __future__ import annotations
 
@@ -11,6 +11,15 @@ from numba import carray
 
 from bench.base.lifecycle import Request
 from bench.control.step_records import CONTROL_STATE
+from bench.supervisor.child_process import (
+    CORRECTED,
+    CORRECTED_FILE,
+    CORRECTION,
+    CORRECTION_FILE,
+    weights_of,
+)
+from bench.swing.correction import Basis
+from bench.swing.profile import Profile
 from drivers.base.compiled import compiled, new_record, numbers
 from drivers.base.compiled_slots import fetch_record, slots_at
 from drivers.base.native import pointer
@@ -164,3 +173,54 @@ def _take_newest(address: int, time: float) -> None:
     fetch_record(slots, a[_VALUES], a[_MIN_MARGIN])
     memory = carray(pointer(a[_MEMORY_AT]), 1, _MEMORY)
     _take(values, memory, carray(pointer(a[_CONTROL]), 1, CONTROL_STATE), time, slots[READ])
+
+
+class CorrectionReader:
+    """The loop's side of learned corrections: ordered weights are applied between swings.
+
+    It reports the tick since which they are active. A correction changes tables of the following swings:
+    reference and feed-forward up to the impact. All limits of a swing apply to the corrected one as well.
+    """
+
+    def __init__(self, folder: Path, profile: Profile, basis: Basis) -> None:
+        """Open the bench's files for corrections of `profile` with weights of `basis`.
+
+        Raises:
+            SharedMemoryError: the supervisor has not created them.
+        """
+        self._profile, self._basis = profile, basis
+        self._orders = SharedRecord.open(folder / CORRECTION_FILE, CORRECTION)
+        self._active = SharedRecord.create(folder / CORRECTED_FILE, CORRECTED)
+        self._order, self._answer = np.zeros(1, CORRECTION), np.zeros(1, CORRECTED)
+        self._version = self._orders.slots.head
+        self._active.write(self._answer)
+
+    @property
+    def is_ordered(self) -> bool:
+        """Whether there is an order that was not taken yet."""
+        return self._orders.slots.head != self._version
+
+    def take(self, tick: int, *, resting: bool) -> Profile | None:
+        """Return the profile to swing from `tick` on if a new one was ordered, else None.
+
+        An order that arrives while the robot is not resting, or for another profile, only updates `asked`
+        and is dropped.
+        """
+        if not self.is_ordered:
+            return None
+        self._version = self._orders.read(self._order)
+        self._answer["asked"] = self._order["number"]
+        taken = None
+        weights = weights_of(self._order)
+        if resting and len(weights) in (0, self._basis.size):
+            taken = self._profile
+            if weights:
+                taken = self._basis.corrected(taken, weights)
+            self._answer["tick"], self._answer["order"] = tick, self._order
+        self._active.write(self._answer)
+        return taken
+
+    def close(self) -> None:
+        """Unmap the files."""
+        self._orders.close()
+        self._active.close()

@@ -17,8 +17,7 @@ import numpy as np
 
 from bench.loop.snapshot import SNAPSHOT
 from bench.records.telemetry.ring import RingWriter
-from bench.supervisor.child_process import HEARTBEAT, TIMING_FILE, heartbeat_file
-from bench.supervisor.correction import CORRECTED, pack_correction
+from bench.supervisor.child_process import CORRECTED, HEARTBEAT, TIMING_FILE, heartbeat_file, pack_correction
 from bench.supervisor.recorder import RecorderPlan
 from bench.supervisor.tick_timing import create_timing
 from bench.swing.correction import basis_of

@@ -33,8 +33,7 @@ from bench.base.lifecycle import Request, State
 from bench.commands.bench.simulators import nodes_plan
 from bench.commands.common.output import progress_bar
 from bench.config import Configuration, load_configuration
-from bench.supervisor.child import Child
-from bench.supervisor.child_process import TIMING_FILE, LoopPlan
+from bench.supervisor.child_process import TIMING_FILE, Child, LoopPlan
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import take_bench
 from bench.supervisor.real_time import PRIORITY

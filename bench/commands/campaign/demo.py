@@ -45,7 +45,7 @@ from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignEntry, CampaignState
-from bench.supervisor.child import Child
+from bench.supervisor.child_process import Child
 from bench.viewer.recording import write_recording
 
 

@@ -35,8 +35,7 @@ from bench.commissioning.machine.step import Mark
 from bench.config import Configuration
 from bench.simulation.safety import Loads
 from bench.simulation.series import Bench, SeriesSwing
-from bench.supervisor.child import Child
-from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
+from bench.supervisor.child_process import Child, Parent, read_plan, send_event, send_failure
 from bench.supervisor.loop_process import configured_driver
 from bench.supervisor.ownership import Ownership, adopt
 from bench.supervisor.real_time import real_time

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import ExitCode
-from bench.supervisor.child import Child, NotStarted
-from bench.supervisor.child_process import FOR_PARENT
+from bench.supervisor.child_process import FOR_PARENT, Child, NotStarted
 
 pytestmark = pytest.mark.live
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.supervisor.correction import (
+from bench.supervisor.child_process import (
     CORRECTED,
     CORRECTED_FILE,
     CORRECTION,
     CORRECTION_FILE,
-    CorrectionReader,
     pack_correction,
     weights_of,
 )
+from bench.supervisor.supervision import CorrectionReader
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

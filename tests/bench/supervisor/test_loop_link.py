@@ -14,8 +14,7 @@ from bench.base.lifecycle import Answer, Refusal, Request, State
 from bench.control.step_records import CONTROL_STATE
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.ring import RingWriter
-from bench.supervisor.child_process import RING_FILE
-from bench.supervisor.correction import CORRECTED, CORRECTED_FILE
+from bench.supervisor.child_process import CORRECTED, CORRECTED_FILE, RING_FILE
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.supervision import SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError
-from bench.supervisor.run_marker import RunMarker
+from bench.supervisor.status import RunMarker
 
 
 def run(folder: Path, *, clean: bool, stop: dict[str, str] | None = None, fatal: bool = False) -> RunMarker:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.supervisor.service_notify import ServiceNotifier, watchdog_interval
+from bench.supervisor.status import notify_service, watchdog_interval
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -18,44 +18,30 @@ def service_manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[
         yield listener, name
 
 
-def test_service_notifier_messages_follow_protocol(service_manager: tuple[socket.socket, str]) -> None:
+def test_notify_service_message_arrives_unchanged(service_manager: tuple[socket.socket, str]) -> None:
     listener, name = service_manager
-    notifier = ServiceNotifier({"NOTIFY_SOCKET": name})
-    assert notifier.ready("state ESTOP")
-    assert notifier.alive()
-    assert notifier.stopping()
-    messages = [listener.recv(4096) for _ in range(3)]
-    assert messages == [b"READY=1\nSTATUS=state ESTOP", b"WATCHDOG=1", b"STOPPING=1"]
-    notifier.close()
-    assert not notifier.alive()
-    notifier.close()
+    assert notify_service("READY=1\nSTATUS=state ESTOP", {"NOTIFY_SOCKET": name})
+    assert listener.recv(4096) == b"READY=1\nSTATUS=state ESTOP"
 
 
 @pytest.mark.parametrize("address", [None, "", "relative/path", "vsock:2:1234"])
-def test_service_notifier_without_socket_sends_nothing(address: str | None) -> None:
-    notifier = ServiceNotifier({} if address is None else {"NOTIFY_SOCKET": address})
-    assert not notifier.ready("state ESTOP")
-    notifier.close()
+def test_notify_service_without_socket_sends_nothing(address: str | None) -> None:
+    assert not notify_service("READY=1", {} if address is None else {"NOTIFY_SOCKET": address})
 
 
 @pytest.mark.parametrize("name", ["/nonexistent/notify", "/" + "x" * 200, "@nobody-listens-here"])
-def test_service_notifier_missing_socket_returns_false(name: str) -> None:
-    notifier = ServiceNotifier({"NOTIFY_SOCKET": name})
-    assert not notifier.alive()
-    notifier.close()
+def test_notify_service_missing_socket_returns_false(name: str) -> None:
+    assert not notify_service("WATCHDOG=1", {"NOTIFY_SOCKET": name})
 
 
-def test_service_notifier_full_queue_does_not_block(
-    service_manager: tuple[socket.socket, str],
-) -> None:
+def test_notify_service_full_queue_does_not_block(service_manager: tuple[socket.socket, str]) -> None:
     listener, name = service_manager
-    notifier = ServiceNotifier({"NOTIFY_SOCKET": name})
-    sent = sum(notifier.alive() for _ in range(100_000))
-    assert 0 < sent < 100_000  # the queue was full, and no call waited or raised
+    environment = {"NOTIFY_SOCKET": name}
+    sent = sum(notify_service("WATCHDOG=1", environment) for _ in range(10_000))
+    assert 0 < sent < 10_000  # the queue was full, and no call waited or raised
     messages = [listener.recv(64) for _ in range(sent)]
     assert set(messages) == {b"WATCHDOG=1"}
-    assert notifier.alive()
-    notifier.close()
+    assert notify_service("WATCHDOG=1", environment)
 
 
 @pytest.mark.parametrize(

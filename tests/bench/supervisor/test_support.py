@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.supervisor.child import Child, ManagedProcess
-from bench.supervisor.child_process import Condition, HeartbeatSender
+from bench.supervisor.child_process import Child, Condition, HeartbeatSender, ManagedProcess
 
 pytestmark = pytest.mark.live
 

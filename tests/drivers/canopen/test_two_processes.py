@@ -14,7 +14,7 @@ import can
 import numpy as np
 import pytest
 
-from bench.supervisor.child import Child
+from bench.supervisor.child_process import Child
 from drivers.base import PASSIVE, Command, DriverError
 from drivers.base.records import unpack_command
 from drivers.base.shared_memory import SharedRecord
