@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
-from bench.viewer.signals import TIMELINE
+from bench.viewer.scene import TIMELINE
+from sim.vectors import Vector
 
 _SKY = (203, 217, 230)
 
@@ -109,7 +110,7 @@ def live_blueprint() -> rrb.Blueprint:
     events = rrb.TextLogView(
         name="Events", origin="/events", columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
     )
-    return rrb.Blueprint(
+    return _layout(
         rrb.Vertical(
             rrb.Horizontal(
                 rrb.Vertical(
@@ -132,10 +133,7 @@ def live_blueprint() -> rrb.Blueprint:
             ),
             row_shares=[3.4, 1],
         ),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        auto_views=False,
+        play_state="following",
     )
 
 
@@ -152,20 +150,24 @@ def _of_records(
     `share` is the ratio of the left to the right width.
     """
     selection = None if played is None else AbsoluteTimeRange(*(round(1e9 * s) for s in played))
-    return rrb.Blueprint(
+    return _layout(
         rrb.Vertical(
             rrb.Horizontal(left, right, column_shares=[share, 1]),
             _states(window, "Phase and reaction", "phase", "reaction"),
             row_shares=[5, 1],
         ),
-        rrb.TimePanel(
-            state="collapsed",
-            timeline=TIMELINE,
-            playback_speed=speed,
-            play_state="playing",
-            loop_mode="all" if selection is None else "selection",
-            time_selection=selection,
-        ),
+        playback_speed=speed,
+        play_state="playing",
+        loop_mode="all" if selection is None else "selection",
+        time_selection=selection,
+    )
+
+
+def _layout(content: rrb.Container, **playback: Any) -> rrb.Blueprint:
+    """Return the layout of `content` with folded panels."""
+    return rrb.Blueprint(
+        content,
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, **playback),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
@@ -176,32 +178,28 @@ def _of_records(
 
 
 def _robot() -> rrb.Spatial3DView:
-    return rrb.Spatial3DView(
-        name="Robot (trace: club head speed, blue 0 to red 50 m/s)",
-        origin="/scene",
-        contents=["/scene/**"],
-        background=_SKY,
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=(0.95, 1.15, 2.0),
-            look_target=(0.0, 1.05, -0.6),
-            eye_up=(0, 1, 0),
-        ),
-        overrides={"/scene/trace": _tail(1.1)},
-    )
+    name = "Robot (trace: club head speed, blue 0 to red 50 m/s)"
+    trace = {"/scene/trace": rrb.VisibleTimeRanges([_last(1.1)])}
+    return _outdoors(name, "/scene", (0.95, 1.15, 2.0), (0.0, 1.05, -0.6), overrides=trace)
 
 
 def _flight() -> rrb.Spatial3DView:
+    return _outdoors("Flight", "/range", (45.0, 55.0, 112.0), (116.0, 4.0, 0.0))
+
+
+def _outdoors(name: str, origin: str, eye: Vector, target: Vector, **more: Any) -> rrb.Spatial3DView:
+    """Return the view from `eye` to `target` (m) of what is below `origin`."""
+    controls = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0, 1, 0)
+    )
     return rrb.Spatial3DView(
-        name="Flight",
-        origin="/range",
-        contents=["/range/**"],
+        name=name,
+        origin=origin,
+        contents=[f"{origin}/**"],
         background=_SKY,
         line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=(45, 55, 112), look_target=(116, 4, 0), eye_up=(0, 1, 0)
-        ),
+        eye_controls=controls,
+        **more,
     )
 
 
@@ -268,7 +266,5 @@ def _series(window: Window, name: str, legend: bool, *signals: str) -> rrb.TimeS
     )
 
 
-def _tail(seconds: float) -> rrb.VisibleTimeRanges:
-    """Return the visible range for a trace of the last `seconds`."""
-    start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=s) for s in (-seconds, 0.0))
-    return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(TIMELINE, start=start, end=end)])
+def _last(seconds: float) -> rrb.VisibleTimeRange:
+    return rrb.VisibleTimeRange(TIMELINE, _around_cursor(seconds, 0.0).data)

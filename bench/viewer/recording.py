@@ -33,19 +33,22 @@ from bench.records.telemetry.cycle_record import FIELDS
 from bench.records.telemetry.recorder import SwingRecord
 from bench.viewer.blueprint import Span, campaign_blueprint, shot_blueprint
 from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
-from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
-from bench.viewer.shots import ShotSeries
-from bench.viewer.signals import (
+from bench.viewer.scene import (
     COLOURS,
     Array,
     Times,
     bench_time,
+    log_ball,
     log_codes,
     log_limits,
+    log_motion,
     log_signals,
+    log_static_scene,
     log_styles,
+    poses_to_draw,
     send_scalars,
 )
+from bench.viewer.shots import ShotSeries
 from sim.plant import PlantParameters
 
 _BODY = ("trail_shoulder", "lead_shoulder", "lead_arm", "lead_wrist")
@@ -270,17 +273,8 @@ def _log_shot(
         log_motion(recording, bench_time, time, cycles, plant, poses_to_draw(cycles, _EVERY))
     struck = None if impact is None else start + impact - float(cycles["time"][0])
     rest = ball_at_rest(plant.robot, plant.site, plant.ball.radius)
-    if struck is None or record.flight is None:
-        log_ball(recording, bench_time, np.array([start]), rest[None])
-    else:
-        near = record.flight.path[record.flight.path[:, 0] <= 1.0]
-        log_ball(
-            recording,
-            bench_time,
-            np.concatenate([[start], struck + near[:, 0]]),
-            np.vstack([rest, rest + near[:, 1:] - near[0, 1:]]),
-        )
-    return max(end, series.log_shot(recording, bench_time, record, start, struck))
+    log_ball(recording, bench_time, np.array([start]), rest[None])
+    return max(end, series.log_shot(recording, bench_time, record, start, struck, rest))
 
 
 def impact_time(record: ShotRecord, plant: PlantParameters) -> float | None:

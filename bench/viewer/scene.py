@@ -1,12 +1,18 @@
-"""The drawn robot, ball and range as shapes for Rerun, and their motion.
+"""Signals, robot, ball and range as Rerun entities, for recordings and live views.
 
-All entities are below `scene`, in the golf frame of `sim/impact.py`: X along the target line, Y up, Z to the
-right; the origin is on the ground below the point of impact. `scene/robot` is the swing plane's frame with
-its origin at the shoulder axis R1; its bodies turn and move in that plane only.
+Below `signals`: each vector is one entity with several scalars a row: ten times faster and a third of the
+size of one entity per component. Units stand in the entities' names. Limits are separate entities: lines from
+one instant at which they are logged to the next.
+
+Below `scene`: shapes and their motion in the golf frame of `sim/impact.py`: X along the target line, Y up, Z
+to the right; the origin is on the ground below the point of impact. `scene/robot` is the swing plane's frame
+with its origin at the shoulder axis R1; its bodies turn and move in that plane only.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from enum import IntEnum
 from math import degrees, pi
 from typing import Any
 
@@ -15,13 +21,222 @@ import rerun as rr
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from bench.base.lifecycle import Phase
+from bench.base.lifecycle import Phase, Reaction, State
 from bench.viewer.drawing.bodies import DrawnBody
 from bench.viewer.drawing.drawing import body_poses, draw, plane_to_golf
-from bench.viewer.signals import Array, Cycles, Times
+from drivers.base import CHAMBERS, JOINTS
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
 from sim.vectors import Vector
+
+Cycles = np.ndarray[Any, Any]
+Array = NDArray[np.float64]
+Colour = tuple[int, int, int]
+Times = Callable[[Array], list[rr.TimeColumn]]
+"""Converts times of the recording (s) to its time axes."""
+
+TIMELINE = "bench_time"
+
+COLOURS: tuple[Colour, ...] = (
+    (0, 114, 178),
+    (213, 94, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (86, 180, 233),
+    (230, 159, 0),
+)
+"""Colours suitable for colour-blind readers (Okabe and Ito)."""
+
+_LIMIT: Colour = (120, 125, 135)
+_STATE_COLOURS = {
+    State.STARTING: (107, 114, 128),
+    State.ESTOP: (185, 28, 28),
+    State.SAFE: (100, 116, 139),
+    State.HOMING: (167, 139, 250),
+    State.READY: (21, 128, 61),
+    State.ARMED: (234, 179, 8),
+    State.SWINGING: (249, 115, 22),
+    State.RECOVERING: (99, 132, 235),
+    State.ACCESS: (14, 165, 233),
+    State.FAULT: (220, 38, 38),
+}
+_PHASE_COLOURS = {
+    Phase.STANDING: (156, 163, 175),
+    Phase.HOMING: (167, 139, 250),
+    Phase.HOLD: (148, 163, 184),
+    Phase.BACKSWING: (99, 132, 235),
+    Phase.TOP: (234, 179, 8),
+    Phase.DOWNSWING: (74, 190, 110),
+    Phase.COMMITTED: (21, 128, 61),
+    Phase.IMPACT: (220, 38, 38),
+    Phase.FOLLOW_THROUGH: (249, 146, 60),
+    Phase.RETURN: (120, 130, 145),
+}
+_REACTION_COLOURS = {
+    Reaction.NONE: (75, 85, 99),
+    Reaction.COMPLETE: (234, 179, 8),
+    Reaction.BRAKE: (249, 115, 22),
+    Reaction.BLIND_BRAKE: (220, 38, 38),
+    Reaction.PASSIVE: (168, 85, 247),
+    Reaction.VENT: (14, 165, 233),
+}
+CODES = (("state", _STATE_COLOURS), ("phase", _PHASE_COLOURS), ("reaction", _REACTION_COLOURS))
+"""Coded fields of the cycle that are shown as a state timeline, with the colours of their codes."""
+
+_BAR, _MICRO = 1e5, 1e-6
+
+
+def bench_time(seconds: Array) -> list[rr.TimeColumn]:
+    """Return `seconds` as the recording's time axis, exact to the nanosecond."""
+    return [rr.TimeColumn(TIMELINE, duration=np.round(seconds * 1e9).astype("timedelta64[ns]"))]
+
+
+def signals_of(cycles: Cycles, plant: PlantParameters) -> dict[str, Array]:
+    """Return the signals drawn of `cycles`, by entity below `signals`, as arrays (n, m)."""
+    pressure = chamber_pressure(cycles)
+    effort = efforts(cycles, plant)
+    return {
+        "angle_deg/reference": np.degrees(cycles["reference_angle"]),
+        "angle_deg/actual": np.degrees(cycles["angle"]),
+        "angle_error_deg": np.degrees(cycles["reference_angle"] - cycles["angle"]),
+        "effort_nm": effort[:, [0, 2]],
+        "effort_n": effort[:, [1]],
+        "valve/wanted": cycles["desired_valve"],
+        "valve/applied": cycles["applied_valve"],
+        "valve/measured": cycles["spool_position"],
+        "pressure_bar": np.column_stack([pressure, cycles["supply_pressure"]]) / _BAR,
+        "head_speed_mps": cycles["head_speed"][:, None],
+        "tick_us": np.column_stack([cycles["wake_latency"], cycles["work_time"]]) / _MICRO,
+    }
+
+
+def limits_of(plant: PlantParameters) -> dict[str, Array]:
+    """Return the limits drawn with the signals, by entity below `signals`: (m,) in the unit of the name."""
+    torque, force, wrist = effort_limits(plant)
+    ratings = [actuator.pressure_rating for actuator in plant.actuators]
+    return {
+        "valve/limits": np.array([-1.0, 1.0]),
+        "effort_nm/limits": np.array([-torque, torque, -wrist, wrist]),
+        "effort_n/limits": np.array([-force, force]),
+        "pressure_bar/limits": np.array([min(ratings)]) / _BAR,
+        "tick_us/limits": np.array([plant.tick / _MICRO]),
+    }
+
+
+def chamber_pressure(cycles: Cycles) -> Array:
+    """Return the chambers' pressures (n, 6) Pa: measured where fitted, else the simulation's, else NaN."""
+    measured: Array = cycles["chamber_pressure"]
+    return measured if np.isfinite(measured).any() else cycles["plant_pressure"]
+
+
+def efforts(cycles: Cycles, plant: PlantParameters) -> Array:
+    """Return the air's efforts (n, 3) N m, N, N m from the chambers' pressures; NaN where none are known."""
+    pressure = chamber_pressure(cycles)
+    air = plant.supply.atmosphere
+    forces = np.stack(
+        [
+            actuator.area_a * (pressure[:, 2 * k] - air) - actuator.area_b * (pressure[:, 2 * k + 1] - air)
+            for k, actuator in enumerate(plant.actuators)
+        ],
+        axis=1,
+    )
+    forces[:, 2] *= plant.wrist_slope(cycles["angle"][:, 2])
+    return forces
+
+
+def effort_limits(plant: PlantParameters) -> tuple[float, float, float]:
+    """Return the max efforts at supply pressure without friction (N m, N, N m)."""
+    gauge = plant.supply.pressure - plant.supply.atmosphere
+    shoulder, arm, wrist = (max(a.area_a, a.area_b) * gauge for a in plant.actuators)
+    return shoulder, arm, wrist * plant.wrist_lever
+
+
+def log_signals(
+    recording: rr.RecordingStream, times: Times, time: Array, cycles: Cycles, plant: PlantParameters
+) -> None:
+    """Log every row of `cycles` at `time` (s)."""
+    columns = times(time)
+    for name, values in signals_of(cycles, plant).items():
+        send_scalars(recording, f"signals/{name}", columns, values)
+
+
+def log_limits(recording: rr.RecordingStream, times: Times, time: Array, plant: PlantParameters) -> None:
+    """Log the limits at each `time` (s): they are drawn from the first to the last."""
+    columns = times(time)
+    for name, limits in limits_of(plant).items():
+        send_scalars(recording, f"signals/{name}", columns, np.tile(limits, (len(time), 1)))
+
+
+def send_scalars(recording: rr.RecordingStream, entity: str, times: list[rr.TimeColumn], rows: Array) -> None:
+    """Send `rows` (n, m) as n rows of m scalars."""
+    rows = np.ascontiguousarray(rows)
+    columns = rr.Scalars.columns(scalars=rows.ravel())
+    recording.send_columns(entity, times, columns.partition([rows.shape[1]] * len(rows)))
+
+
+def log_codes(
+    recording: rr.RecordingStream,
+    times: Times,
+    time: Array,
+    cycles: Cycles,
+    before: dict[str, int] | None = None,
+) -> None:
+    """Log state, phase and reaction on change; `before` holds the last logged codes and is updated."""
+    known = {} if before is None else before
+    for name, colours in CODES:
+        codes = cycles[name].astype(int)
+        changed = np.flatnonzero(np.diff(codes, prepend=known.get(name, -1)))
+        known[name] = int(codes[-1])
+        if len(changed):
+            kind = type(next(iter(colours)))
+            words = [code_label(kind(code)) for code in codes[changed]]
+            recording.send_columns(
+                f"signals/{name}", times(time[changed]), rr.StateChange.columns(state=words)
+            )
+
+
+def code_label(code: IntEnum) -> str:
+    """Return the label of `code`."""
+    return code.name.lower().replace("_", " ")
+
+
+def log_styles(recording: rr.RecordingStream) -> None:
+    """Log names, colours and widths of all signals; static, so that late viewers get them too."""
+    joint = COLOURS[:3]
+    chamber = [(0, 114, 178), (86, 180, 233), (213, 94, 0), (240, 150, 90), (0, 130, 95), (90, 200, 160)]
+
+    def lines(path: str, names: Sequence[str], colours: Sequence[Colour], width: float = 1.5) -> None:
+        style = rr.SeriesLines(names=list(names), colors=list(colours), widths=[width] * len(names))
+        recording.log(f"signals/{path}", style, static=True)
+
+    def limits(path: str, names: Sequence[str], colours: Sequence[Colour]) -> None:
+        lines(f"{path}/limits", names, colours, 0.75)
+
+    lines("angle_deg/actual", JOINTS, joint, 2.0)
+    lines("angle_deg/reference", [f"{name} reference" for name in JOINTS], [(150, 155, 165)] * 3, 1.0)
+    lines("angle_error_deg", JOINTS, joint)
+    lines("effort_nm", [f"{JOINTS[0]} N·m", f"{JOINTS[2]} N·m"], [joint[0], joint[2]])
+    limits("effort_nm", ["shoulder −", "shoulder +", "wrist −", "wrist +"], [joint[0]] * 2 + [joint[2]] * 2)
+    lines("effort_n", [f"{JOINTS[1]} N"], [joint[1]])
+    limits("effort_n", ["min", "max"], [_LIMIT] * 2)
+    lines("valve/applied", JOINTS, joint)
+    lines("valve/wanted", [f"{name} wanted" for name in JOINTS], joint, 1.0)
+    lines("valve/measured", [f"{name} measured" for name in JOINTS], joint, 1.0)
+    limits("valve", ["shut", "open"], [_LIMIT] * 2)
+    lines("pressure_bar", [*CHAMBERS, "supply"], [*chamber, (150, 155, 165)])
+    limits("pressure_bar", ["rating"], [(220, 50, 60)])
+    lines("head_speed_mps", ["club head"], [(220, 50, 60)], 2.0)
+    lines("ball_speed_mps", ["ball"], [(235, 235, 235)], 2.0)
+    lines("tick_us", ["late by", "work"], [COLOURS[1], COLOURS[4]], 1.0)
+    limits("tick_us", ["period"], [(220, 50, 60)])
+    for name, colour_of in CODES:
+        states = rr.StateConfiguration(
+            values=[code_label(code) for code in colour_of], colors=[*colour_of.values()]
+        )
+        recording.log(f"signals/{name}", states, static=True)
+
+
+# Robot, ball and range -------------------------------------------------------------------------------
 
 YARD = 0.9144
 

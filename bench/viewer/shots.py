@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 
 from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
-from bench.viewer.signals import COLOURS, Array, Colour, Times, send_scalars
+from bench.viewer.scene import COLOURS, Array, Colour, Times, log_ball, send_scalars
 
 _YARD, _MPH = 0.9144, 0.44704
 _GRID = 5.0
@@ -46,11 +46,13 @@ class ShotSeries:
         record: ShotRecord,
         start: float,
         struck: float | None,
+        rest: Array,
         latest: float = np.inf,
     ) -> float:
         """Log a shot from `start` with impact at `struck` (s; None without impact); return its end (s).
 
-        Nothing is logged after `latest`: a live view computes the whole flight before the ball lands.
+        `rest` is the ball's place in the scene (3,), m. Nothing is logged after `latest`: a live view
+        computes the whole flight before the ball lands.
         """
         self.records.append(_figures_only(record))
         shown = end = start
@@ -60,6 +62,8 @@ class ShotSeries:
             self._log_flight(recording, times, record, struck, shown)
             flown = moving_ball(record, struck)
             log_moving_ball(recording, times, flown.upto(latest))
+            near = flown.upto(min(latest, struck + 1.0))
+            log_ball(recording, times, near.time, rest + near.position - near.position[0])
             if end <= latest:
                 log_gap(recording, times, end)
             self._log_dispersion(recording, times, shown)

@@ -27,20 +27,23 @@ from bench.records.shot.strike import SWINGING
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.drawing.drawing import ball_at_rest
 from bench.viewer.feed import Arrived, Feed
-from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
-from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball
-from bench.viewer.signals import (
+from bench.viewer.scene import (
     TIMELINE,
     Array,
     Cycles,
     bench_time,
+    log_ball,
     log_codes,
     log_limits,
+    log_motion,
     log_signals,
+    log_static_scene,
     log_styles,
+    poses_to_draw,
     send_scalars,
     signals_of,
 )
+from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball
 from sim.plant import PlantParameters
 
 _BEHIND = 0.001
@@ -270,12 +273,9 @@ class LiveView:
         start = min(self._swing_start or now, now)
         struck = None if record.flight is None else min(self._struck or now, now)
         self._struck = None
-        self.shots.log_shot(self._recording, self._times, record, start, struck, latest=now)
+        self.shots.log_shot(self._recording, self._times, record, start, struck, self._ball, latest=now)
         if struck is not None and record.flight is not None:
-            flown = moving_ball(record, struck)
-            near = flown.upto(min(now, struck + 1.0))
-            log_ball(self._recording, self._times, near.time, self._ball + near.position - near.position[0])
-            self._flying = flown.after(now)
+            self._flying = moving_ball(record, struck).after(now)
 
     def _show_flight(self) -> None:
         """Show the trajectory since the last turn."""

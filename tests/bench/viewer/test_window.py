@@ -21,8 +21,7 @@ from bench.base.address import free_port
 from bench.base.errors import BenchError
 from bench.viewer import window as window_module
 from bench.viewer.blueprint import live_blueprint
-from bench.viewer.scene import log_static_scene
-from bench.viewer.signals import bench_time, log_styles, send_scalars
+from bench.viewer.scene import bench_time, log_static_scene, log_styles, send_scalars
 from bench.viewer.window import LOOPBACK, RerunWindow, quiet_environment, rerun_program
 from sim.plant import PlantParameters
 from tests.bench.records.telemetry.read_recording import Recording

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bench.viewer.signals import effort_limits, efforts, limits_of, signals_of
+from sim.air import Air
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Phase
@@ -22,7 +24,7 @@ from bench.records.shot.recorded_shot import (
 )
 from bench.records.shot.shot import ShotRecord, ShotStatus
 from bench.records.telemetry.recorder import write_swing
-from bench.viewer.signals import effort_limits, efforts, limits_of, signals_of
+from bench.viewer.scene import effort_limits, efforts, limits_of, signals_of
 from sim.ball import Air
 from sim.flight import Wind
 from sim.ground import Turf
