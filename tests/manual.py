@@ -15,8 +15,7 @@ from bench.base.json_schema import field_docs
 from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_WORDS, Cause, Refusal
 from bench.commands.cli import EXIT_CODES, command_line
 from bench.config import Configuration, load_configuration, shipped_configuration
-from bench.config.files import keys_of, plain
-from bench.config.text import _in_people_units, _Table, _tables, _written
+from bench.config.files import _in_people_units, _Table, _tables, _written, keys_of, plain
 from bench.network.messages import wire_contract
 from drivers.base.ranges import Range
 from sim.ball import Ball

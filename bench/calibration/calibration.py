@@ -19,7 +19,7 @@ from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import checked_values
 from bench.base.lifecycle import Block, Phase, State
 from bench.config import Configuration, contradictions
-from bench.config.text import changed_values
+from bench.config.files import changed_values
 from bench.records.telemetry.encoder_preset import CalibratedShifts
 from bench.records.telemetry.ring import RingReader
 from drivers.base import JOINTS, Triple

@@ -89,7 +89,7 @@ def check(
     from rich.console import Console
 
     from bench.config import load_configuration, shipped_configuration
-    from bench.config.text import configuration_text
+    from bench.config.files import configuration_text
     from bench.supervisor.readiness import assess_bench
 
     if defaults:

@@ -44,7 +44,7 @@ from bench.commissioning.machine.step import (
 from bench.commissioning.steps.wiring import WIRING
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration, load_configuration, shipped_configuration
-from bench.config.text import configuration_text
+from bench.config.files import configuration_text
 from bench.control.measured_plant import value_at, with_values
 from bench.control.residual_thresholds import load_limits
 from bench.design.threshold_generation import DRAWS

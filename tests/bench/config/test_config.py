@@ -22,8 +22,7 @@ from bench.config import (
     shipped_configuration,
     unheard_phases,
 )
-from bench.config.files import default_tables
-from bench.config.text import configuration_text
+from bench.config.files import configuration_text, default_tables
 from bench.control.settings import MODEL_ROWS, build_controller
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
