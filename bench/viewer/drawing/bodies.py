@@ -102,10 +102,10 @@ def write_stl(path: Path, mesh: Mesh) -> None:
         stream.write(b"golfbench, m".ljust(80) + struct.pack("<I", len(facets)) + facets.tobytes())
 
 
-Turn = tuple[Vector, Vector, Vector]
+Turn = tuple[Vector, Vector, Vector] | Array
 """Rows of a rotation matrix."""
 
-NO_TURN: Turn = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+NO_TURN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Volume(NamedTuple):
@@ -114,12 +114,6 @@ class Volume(NamedTuple):
     volume: float
     centroid: Array
     inertia: Array
-
-
-def vector(values: Array) -> Vector:
-    """Return three `values` as numbers of Python."""
-    x, y, z = map(float, values)
-    return x, y, z
 
 
 class Bore(NamedTuple):
@@ -153,7 +147,7 @@ class Bar:
     """A rectangular bar of `size` about `centre`, turned by `turn`, with bores along its own z."""
 
     size: Vector
-    centre: Vector
+    centre: Vector | Array
     turn: Turn = NO_TURN
     bores: tuple[Bore, ...] = ()
 
@@ -197,8 +191,8 @@ class Bar:
 class Tube:
     """A round tube, or a rod with `inner` 0, between the centres of its ends."""
 
-    start: Vector
-    end: Vector
+    start: Vector | Array
+    end: Vector | Array
     outer: float
     inner: float = 0.0
 
@@ -240,7 +234,7 @@ class Ellipsoid:
     """An ellipsoid of half axes `half`, turned, cut flat at `cut` along its own first axis."""
 
     half: Vector
-    centre: Vector
+    centre: Vector | Array
     turn: Turn = NO_TURN
     cut: float | None = None
 
@@ -294,6 +288,11 @@ class Material(NamedTuple):
     name: str
     density: float
     colour: Colour
+
+
+def envelope(material: Material, mass: float, volume: float) -> Material:
+    """Return `material` with the mean density of a bought part of `mass` (kg) drawn as `volume` (m3)."""
+    return material._replace(density=mass / volume)
 
 
 STEEL = Material("steel", 0.283 * _POUND_PER_CUBIC_INCH, (112, 122, 136))
@@ -360,3 +359,16 @@ class DrawnBody:
         """Colour of each vertex of `mesh`, (n, 3)."""
         rows = [np.tile(part.material.colour, (len(part.solid.mesh.vertices), 1)) for part in self.parts]
         return np.concatenate(rows).astype(np.uint8)
+
+
+class PlacedBody(NamedTuple):
+    """A body with its pose in the golf frame: golf = turn @ own + at."""
+
+    body: DrawnBody
+    turn: Array
+    at: Array
+
+    @property
+    def mesh(self) -> Mesh:
+        """Surface in the golf frame."""
+        return placed_mesh(self.body.mesh, self.turn, self.at)

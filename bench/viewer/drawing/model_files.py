@@ -38,18 +38,20 @@ from scipy.spatial.transform import Rotation
 from bench.base.atomic_file import atomic_file, atomic_path
 from bench.base.errors import BenchError
 from bench.viewer.drawing.bodies import (
+    NO_TURN,
     Bar,
     Colour,
     DrawnBody,
     Ellipsoid,
     Mesh,
     Part,
+    PlacedBody,
     Solid,
     Tube,
     joined_meshes,
     write_stl,
 )
-from bench.viewer.drawing.drawing import Array, PlacedBody, draw, plane_to_golf
+from bench.viewer.drawing.drawing import draw, plane_to_golf
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 
@@ -196,7 +198,9 @@ def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) 
         _fixed(robot, "ground", body.name, rotation=Y_UP_TO_Z_UP)
     axes, origin = plane_to_golf(plant.robot, plant.site)
     plane = _link(robot, "swing_plane")
-    _cylinder(SubElement(plane, "collision"), min_frame_distance, _FRAME_LENGTH)
+    frame = SubElement(plane, "collision")
+    _origin(frame)
+    _cylinder(frame, min_frame_distance, _FRAME_LENGTH)
     _fixed(robot, "ground", "swing_plane", Y_UP_TO_Z_UP @ origin, Y_UP_TO_Z_UP @ axes)
     for body in drawing.fixed_in_plane:
         files += _visuals(_link(robot, body.name), folder, body)
@@ -210,12 +214,11 @@ def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) 
                 _club_outline(link, plant)
     for hinge in joints(plant):
         _joint(robot, hinge)
-    for frame, parent, x in (
-        (CLOSURE[0], "shoulder_link", -plant.robot.l16),
-        (CLOSURE[1], "right_arm_cylinder", 0.0),
+    for name, parent, x in zip(
+        CLOSURE, ("shoulder_link", "right_arm_cylinder"), (-plant.robot.l16, 0.0), strict=True
     ):
-        _link(robot, frame)
-        _fixed(robot, parent, frame, np.array([x, 0.0, 0.0]))
+        _link(robot, name)
+        _fixed(robot, parent, name, (x, 0.0, 0.0))
     files += [_write_xml(folder, robot), _write_closure(folder, plant)]
     return files
 
@@ -243,7 +246,7 @@ def _inertial(link: Element, body: DrawnBody) -> None:
     drawn = np.diag(body.weighed.inertia)
     xx, yy, zz = (float(value) * assumed.inertia / float(drawn[2]) for value in drawn)
     inertial = SubElement(link, "inertial")
-    SubElement(inertial, "origin", xyz=f"{assumed.centre_of_mass!r} 0 0", rpy="0 0 0")
+    _origin(inertial, (assumed.centre_of_mass, 0.0, 0.0))
     SubElement(inertial, "mass", value=repr(float(assumed.mass)))
     tensor = {"ixx": xx, "iyy": max(yy, zz - xx), "izz": float(assumed.inertia)}
     tensor |= dict.fromkeys(("ixy", "ixz", "iyz"), 0.0)
@@ -265,31 +268,28 @@ def _visuals(link: Element, folder: Path, body: DrawnBody) -> list[Path]:
     return files
 
 
-def _cylinder(
-    collision: Element, radius: float, length: float, xyz: str = "0 0 0", rpy: str = "0 0 0"
-) -> None:
-    SubElement(collision, "origin", xyz=xyz, rpy=rpy)
+def _cylinder(collision: Element, radius: float, length: float) -> None:
     SubElement(SubElement(collision, "geometry"), "cylinder", radius=repr(radius), length=repr(length))
+
+
+def _origin(element: Element, xyz: Any = (0.0,) * 3, rpy: Any = (0.0,) * 3) -> None:
+    place, turned = (" ".join(repr(float(value)) for value in values) for values in (xyz, rpy))
+    SubElement(element, "origin", xyz=place, rpy=turned)
 
 
 def _club_outline(link: Element, plant: PlantParameters) -> None:
     """Add the club of the clearance checks: its line, and the ball whose lowest point is the sole."""
-    length = plant.robot.club.length_to_face
-    collision = SubElement(link, "collision")
-    _cylinder(collision, plant.robot.club.shaft_radius, length, f"{length / 2!r} 0 0", f"0 {pi / 2!r} 0")
-    sole = SubElement(link, "collision")
-    SubElement(sole, "origin", xyz=f"{length!r} 0 0", rpy="0 0 0")
+    length, radius = plant.robot.club.length_to_face, plant.robot.club.shaft_radius
+    shaft, sole = SubElement(link, "collision"), SubElement(link, "collision")
+    _origin(shaft, (length / 2, 0.0, 0.0), rpy=(0.0, pi / 2, 0.0))
+    _cylinder(shaft, radius, length)
+    _origin(sole, (length, 0.0, 0.0))
     SubElement(SubElement(sole, "geometry"), "sphere", radius=repr(plant.site.sole_depth))
 
 
-def _fixed(
-    robot: Element, parent: str, child: str, at: Array | None = None, rotation: Array | None = None
-) -> None:
-    """Add a joint that does not move."""
+def _fixed(robot: Element, parent: str, child: str, at: Any = (0.0,) * 3, rotation: Any = NO_TURN) -> None:
     joint = SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
-    xyz = " ".join(repr(float(value)) for value in (np.zeros(3) if at is None else at))
-    rpy = [0.0] * 3 if rotation is None else Rotation.from_matrix(rotation).as_euler("xyz").tolist()
-    SubElement(joint, "origin", xyz=xyz, rpy=" ".join(map(repr, rpy)))
+    _origin(joint, at, Rotation.from_matrix(rotation).as_euler("xyz"))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
 
@@ -298,7 +298,7 @@ def _joint(robot: Element, hinge: Hinge) -> None:
     joint = SubElement(robot, "joint", name=hinge.name, type=hinge.kind)
     # The cylinder looks from R6 back to R3, against its way.
     back = hinge.kind == "prismatic"
-    SubElement(joint, "origin", xyz=f"{hinge.x!r} 0 0", rpy=f"0 0 {pi!r}" if back else "0 0 0")
+    _origin(joint, (hinge.x, 0.0, 0.0), rpy=(0.0, 0.0, pi * back))
     SubElement(joint, "parent", link=hinge.parent)
     SubElement(joint, "child", link=hinge.child)
     SubElement(joint, "axis", xyz="-1 0 0" if back else "0 0 1")

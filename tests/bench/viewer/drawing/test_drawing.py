@@ -10,8 +10,7 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.viewer.drawing.bodies import Bar, DrawnBody, Ellipsoid, Solid, Tube
-from bench.viewer.drawing.drawing import Drawing, address, body_poses, draw, placed, plane_to_golf
-from bench.viewer.drawing.links import wrist_ways
+from bench.viewer.drawing.drawing import Drawing, address, body_poses, draw, placed, plane_to_golf, wrist_ways
 from sim.kinematics import forward_kinematics, joint_positions, right_arm_length
 from sim.plant import PlantParameters
 from tests.bench.viewer.drawing.conftest import PLANTS, SIZED, mesh_volume

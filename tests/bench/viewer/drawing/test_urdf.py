@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from bench.viewer.drawing.bodies import Tube
-from bench.viewer.drawing.drawing import address, plane_to_golf
-from bench.viewer.drawing.links import lever_parts
+from bench.viewer.drawing.drawing import address, lever_parts, plane_to_golf
 from bench.viewer.drawing.model_files import CLOSURE, joints, write_urdf
 from sim.kane import forward_dynamics
 from sim.plant import PlantParameters
