@@ -139,7 +139,6 @@ def database_url(database: str, data_dir: Path) -> URL:
 
 
 def _defaults() -> dict[str, Any]:
-    """Return the defaults of the code for the keys of an address."""
     sections = {"bench": BenchSettings, "network": NetworkSettings}
     return {
         name: {
@@ -165,12 +164,8 @@ def address_mistakes(of: Addressed) -> Iterator[Mistake]:
     )
     for name, endpoint, wanted, *allowed in places:
         if not any(allow(endpoint) for allow in allowed):
-            yield (
-                f"network.{name}",
-                format_value(endpoint),
-                f"{wanted}; PORT 1 to 65535",
-                f"Correct network.{name}.",
-            )
+            expected = f"{wanted}; PORT 1 to 65535"
+            yield f"network.{name}", format_value(endpoint), expected, f"Correct network.{name}."
         elif _is_secure(endpoint) and not network.identity:
             found = f"none, with {name} = {format_value(endpoint)}"
             action = "Create them with `golfbench certificates`."

@@ -297,7 +297,6 @@ def _commented(line: str, comment: str) -> list[str]:
 
 
 def _written(value: Any) -> str:
-    """Return a value as TOML has it."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_written, value))}]"
     if isinstance(value, float):

@@ -78,13 +78,8 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         try:
             float(value_at(c.plant, name))
         except (KeyError, IndexError, TypeError, ValueError):
-            location = f"envelope.model.standard_errors.{name}"
-            yield (
-                location,
-                "no number below [plant]",
-                "a key such as shoulder.area_a",
-                "Correct or delete it.",
-            )
+            key, found = f"envelope.model.standard_errors.{name}", "no number below [plant]"
+            yield key, found, "a key such as shoulder.area_a", "Correct or delete it."
 
 
 def _phases(given: Any, default: Any, section: str, table: str, optional: Set[str]) -> Iterator[Mistake]:
@@ -136,12 +131,8 @@ def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         key, position = f"plant.right_arm.{end}", getattr(arm, end)
         if not low <= position <= high:
             wanted = f"{low:.4g} to {high:.4g} m: inside the rod's stroke and the linkage's reach"
-            yield (
-                key,
-                f"{short(position)} m",
-                wanted,
-                "Correct this position, or the lengths in [plant.robot].",
-            )
+            action = "Correct this position, or the lengths in [plant.robot]."
+            yield key, f"{short(position)} m", wanted, action
         leaf = _leaf(tree, key)
         if leaf is not None and leaf.suffix:
             yield key, format_value(leaf.value), "a rod extension in m", f"Write {end} = ... in m."
@@ -151,14 +142,9 @@ def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         theta3 = getattr(wrist, end)
         if not 1.5 * pi + dead - mounted <= theta3 <= 2.5 * pi - dead - mounted:
             low, high = (degrees(end * pi - mounted) for end in (1.5, 2.5))
-            span = f"{low + degrees(dead):.1f} to {high - degrees(dead):.1f} deg"
+            wanted = f"{low + degrees(dead):.1f} to {high - degrees(dead):.1f} deg: where the lever turns it"
             action = "Narrow the range; envelope.min_lever says how little lever may be left."
-            yield (
-                f"plant.wrist.{end}",
-                f"{theta3 * 180 / pi:.1f} deg",
-                f"{span}: where the lever turns it",
-                action,
-            )
+            yield f"plant.wrist.{end}", f"{degrees(theta3):.1f} deg", wanted, action
 
 
 def _leaf(tree: Tree, path: str) -> TomlValue | None:
@@ -221,22 +207,15 @@ def _layer(leaf: TomlValue, files: tuple[Path, ...]) -> int:
 
 def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     supply, least = c.plant.supply, c.envelope.min_supply_pressure
+    action = "Correct the pressure; the unit is Pa absolute."
     if not supply.atmosphere < least < supply.pressure:
         wanted = (
             f"more than the atmosphere's {short(supply.atmosphere)}, less than {short(supply.pressure)} Pa"
         )
-        yield (
-            "envelope.min_supply_pressure",
-            f"{short(least)} Pa",
-            wanted,
-            "Correct the pressure; the unit is Pa absolute.",
-        )
-    if c.envelope.max_supply_pressure <= supply.pressure:
-        found, wanted = (
-            f"{short(c.envelope.max_supply_pressure)} Pa",
-            f"more than {short(supply.pressure)} Pa",
-        )
-        yield "envelope.max_supply_pressure", found, wanted, "Correct the pressure; the unit is Pa absolute."
+        yield "envelope.min_supply_pressure", f"{short(least)} Pa", wanted, action
+    if (most := c.envelope.max_supply_pressure) <= supply.pressure:
+        wanted = f"more than {short(supply.pressure)} Pa"
+        yield "envelope.max_supply_pressure", f"{short(most)} Pa", wanted, action
     rating = min(actuator.pressure_rating for actuator in c.plant.actuators)
     if supply.manifold_relief_ratio < MIN_RELIEF_RATIO or supply.manifold_relief_pressure >= rating:
         yield (
@@ -244,14 +223,6 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             f"{short(supply.manifold_relief_ratio)}, {short(supply.manifold_relief_pressure)} Pa",
             f"at least {MIN_RELIEF_RATIO}, and less than the lowest pressure_rating, {short(rating)} Pa",
             "Set it; a valve that opens nearer to the regulated pressure takes part in a healthy swing.",
-        )
-    if c.envelope.absorber_travel_fraction > 1.0:
-        found = short(c.envelope.absorber_travel_fraction)
-        yield (
-            "envelope.absorber_travel_fraction",
-            found,
-            "0 to 1, a share of the cushions' travel",
-            "Lower it.",
         )
 
 
@@ -312,13 +283,8 @@ def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     load = bus_load(bus, period, c.driver.watchdog)
     if load > MAX_LOAD:
         found = f"{bus.bitrate} bit/s, a bus load of {load:.0%} at {short(c.loop.rate)} Hz"
-        slower = int(max_rate(bus, c.driver.watchdog))
-        yield (
-            "canopen.bitrate",
-            found,
-            f"at most {MAX_LOAD:.0%}",
-            f"Raise it, or set loop.rate to {slower} Hz.",
-        )
+        action = f"Raise it, or set loop.rate to {int(max_rate(bus, c.driver.watchdog))} Hz."
+        yield "canopen.bitrate", found, f"at most {MAX_LOAD:.0%}", action
     lost = c.envelope.encoder_timeout
     if lost < COST_OF_A_SYNC * period:
         found = f"{short(lost)} s at {short(c.loop.rate)} Hz"
@@ -363,13 +329,9 @@ def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             )
             yield key, found, f"{wanted} and simulated nodes", "Delete it, or set driver.name."
         if fault.signal in _LOOPS_OWN:
+            found, wanted = format_value(fault.signal), "a signal or part of the simulated robot"
             action = "End or freeze the process itself; `golfbench faults run` tries the rest."
-            yield (
-                f"{key}.signal",
-                format_value(fault.signal),
-                "a signal or part of the simulated robot",
-                action,
-            )
+            yield f"{key}.signal", found, wanted, action
         if fault.kind == "delayed" and fault.value > (longest := MAX_DELAY * c.plant.tick):
             yield f"{key}.value", f"{short(fault.value)} s", f"at most {short(longest)} s", "Lower it."
 

@@ -319,7 +319,7 @@ class EnvelopeSettings:
     """Radius around R1 that the club keeps clear of, m."""
     min_lever: Annotated[float, AtLeast(0), AtMost(1)] = 0.15
     """Min |sin beta| of the wrist's lever (thesis figure 11)."""
-    absorber_travel_fraction: NotNegative = 0.9
+    absorber_travel_fraction: Annotated[float, AtLeast(0), AtMost(1)] = 0.9
     """Share of the cushions' travel that counts as working range in the range check."""
     model: ModelSettings = field(default_factory=ModelSettings)
 

@@ -398,7 +398,7 @@ def test_configuration_misspelt_key_suggests_correct_key(overlay: Overlay) -> No
             "1.5, 1.2e6 Pa",
             "less than the lowest pressure_rating, 1.2e6 Pa",
         ),
-        ("[envelope]\nabsorber_travel_fraction = 1.5", "envelope.absorber_travel_fraction", "1.5", "0 to 1"),
+        ("[envelope]\nabsorber_travel_fraction = 1.5", "envelope.absorber_travel_fraction", "1.5", "up to 1"),
         (
             "[envelope.max_following_error]\nswing = [1, 1, 1]",
             "envelope.max_following_error.swing",
