@@ -247,7 +247,6 @@ class BenchOperator:
                 self._on_reset(in_words(status))
 
     def _tee_up(self) -> None:
-        """Raise the next ball, and wait until it is there."""
         self.client.tee()
         deadline = time.monotonic() + _FEED
         while not self.client.status()["ball_present"]:

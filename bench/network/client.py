@@ -510,7 +510,6 @@ class BenchClient:
             time.sleep(_LOOK_FOR_REST)
 
     def _ask(self, verb: Verb, **values: Any) -> CommandAnswer:
-        """Send `verb` and return the accepted answer."""
         payload = self.send(verb, encode_command(verb, **values))
         answer = parse_answer(payload)
         if not answer.accepted:
@@ -549,7 +548,6 @@ def _location(verb: Verb, bench: str) -> str:
 
 
 def _accepted_in(verb: Verb) -> str:
-    """Return the states that accept `verb`."""
     if verb is Verb.SECURE:  # a stop latched in an access keeps the guard unlocked once it was opened
         return "an access, or a guard opened in one"
     states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []

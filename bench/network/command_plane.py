@@ -382,7 +382,6 @@ class CommandPlane:
         return answer._replace(state=state, cause=Cause.NONE.name if cause is None else cause["name"])
 
     def _completed(self, status: BenchStatus) -> BenchStatus:
-        """Return `status` with lease and counts."""
         self._last_state = status["state"]
         return {**status, "lease": self.lease_status(), "counts": self.counts()}
 

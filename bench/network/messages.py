@@ -267,7 +267,6 @@ def wire_contract(bench: str = "BENCH") -> dict[str, Any]:
 
 
 def _published(root: str) -> list[dict[str, Any]]:
-    """Return the keys of publications and their messages' schemas."""
     event: Schema = {
         "anyOf": [_message(schema_of(kind), VERSION) for kind in (ChangeEvent, LeaseEvent, FaultEvent)]
     }
@@ -294,7 +293,6 @@ def _published(root: str) -> list[dict[str, Any]]:
 
 
 def _command(root: str, form: str) -> dict[str, Any]:
-    """Return key, request and answer of a form of a command."""
     verb = Verb(form.partition(" ")[0])
     content: Schema = {"type": "object"}
     if verb is Verb.STATUS:
@@ -326,7 +324,6 @@ def _message(schema: Schema, version: int) -> Schema:
 
 
 def _telemetry() -> dict[str, Any]:
-    """Return the columns of telemetry and of records."""
     columns = [
         {
             "name": column,

@@ -395,7 +395,6 @@ class Daemon:
                 notified = now
 
     def _turn(self, now: float) -> None:
-        """Do the work due at `now` (s)."""
         for supporter in self._attending:
             supporter.turn(now)
         self._grant()
@@ -428,7 +427,6 @@ class Daemon:
             self._publish("lease lapses", holder=self._lease["holder"], seconds_left=left)
 
     def _sum_up(self, now: float) -> None:
-        """Update the loop statistics since the last call."""
         after = self._timing.snapshot()
         self._statistics = self._statistics_of(after, now - self._summed_up)
         self._before_timing, self._summed_up = after, now
@@ -551,7 +549,6 @@ class Daemon:
         }
 
     def _note_record(self, event: dict[str, Any]) -> None:
-        """Publish the path of a swing's record."""
         if event["event"] != "stored" or event["kind"] != "swing":
             return
         self._drift = event["warnings"]

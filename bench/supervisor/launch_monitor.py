@@ -133,11 +133,6 @@ class LaunchMonitorService:
         self._listen_at = self._link_at = -float("inf")
         self._linked: Any = None
 
-    @property
-    def address(self) -> tuple[str, int]:
-        """Address and port it listens at; DriverError if not listening."""
-        return self._server.address
-
     def turn(self, now: float, utc: datetime) -> None:
         """Listen, read swings and launches, match and report, at `now` (s, CLOCK_MONOTONIC) and `utc`."""
         if self._fault and now >= self._listen_at:

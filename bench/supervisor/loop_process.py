@@ -362,7 +362,6 @@ class LoopProcess:
             self._report_device()
 
     def _report_device(self) -> None:
-        """Report the status of the device if it changed."""
         counters = getattr(self.driver, "counters", None)
         status = self._fault, {} if counters is None else counters.counts()
         if status != self._reported_device:

@@ -254,7 +254,6 @@ def _open_folder(path: Path) -> int:
 
 
 def _refusal(bench_id: str, path: Path, owner: Owner | None) -> Refused:
-    """Return the refusal with the owner and the action."""
     free = "a bench that is not running"
     location = f"bench {bench_id}"
     if owner and owner.supervisor.lives:
@@ -309,7 +308,6 @@ def _start_of(pid: int) -> int | None:
 
 
 def _user(uid: int) -> str:
-    """Return the name of user `uid`."""
     import pwd  # not everywhere, see `try_lock`
 
     try:

@@ -135,7 +135,6 @@ class Publisher:
         self._heartbeat.last["tick"] = cycles["tick"][-1]
 
     def _send_statistics(self, now: float, utc: float) -> None:
-        """Send the loop's timing statistics since the last message."""
         after = self._timing.snapshot()
         message: dict[str, Any] = {
             "version": LOOP_VERSION,

@@ -225,7 +225,6 @@ def _contradictions(c: Configuration, replaced: Iterable[ReplacedValues]) -> lis
 
 
 def _rewired(calibration: Calibration, c: Configuration) -> list[Refused]:
-    """Return the fault of a check of the inputs with other wiring, if it is so."""
     inputs = calibration.of(CalibrationKind.INPUTS)
     if inputs is None or not is_rewired(inputs.values, c):
         return []
@@ -245,7 +244,6 @@ def _fitted_sensors(c: Configuration) -> tuple[bool, bool]:
 
 
 def _unwatched(c: Configuration) -> BenchError:
-    """Return the fault of a real robot whose check is off without a reason."""
     return BenchError(
         f"{', '.join(map(str, c.files))}: envelope.model.check",
         "off with a real robot",
@@ -255,7 +253,6 @@ def _unwatched(c: Configuration) -> BenchError:
 
 
 def _half_blind(c: Configuration) -> BenchError:
-    """Return the fault of a real robot with a chamber that the check does not see, without a reason."""
     section = {"canopen": "canopen.valve_node"}.get(c.driver.name, c.driver.name)
     return BenchError(
         f"{', '.join(map(str, c.files))}: {section}.chamber_pressures",
@@ -267,7 +264,6 @@ def _half_blind(c: Configuration) -> BenchError:
 
 
 def _stale(profile: Profile, used: LimitsInUse) -> BenchError:
-    """Return the fault of a real robot whose limits were made for something else."""
     return BenchError(
         f"limits of {profile.name}",
         used.source,

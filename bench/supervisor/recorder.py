@@ -215,14 +215,12 @@ class Recorder:
         return cycles[np.searchsorted(cycles["tick"], self._from, side="right") :]
 
     def _note_snapshot(self) -> None:
-        """Store the newest snapshot if new."""
         found = np.zeros(1, self.plan.snapshot_dtype)
         self._note_correction()
         if self._snapshot.read(found) and all(s["tick"][0] != found["tick"][0] for s in self._snapshots):
             self._snapshots.append(found)
 
     def _note_correction(self) -> None:
-        """Store the active correction if it changed."""
         found = np.zeros(1, CORRECTED)
         self._corrected.read(found)
         if not self._corrections or found["tick"][0] != self._corrections[-1]["tick"][0]:
@@ -244,7 +242,6 @@ class Recorder:
             self._keep(cut)
 
     def _keep(self, cut: RecordSegment) -> None:
-        """Queue `cut`."""
         self._number += 1
         begin = begin_of(cut.cycles)
         began = datetime.fromtimestamp(float(cut.cycles["time"][0]) + self._utc_less_loop, UTC)
@@ -263,7 +260,6 @@ class Recorder:
         self._queue.put(SwingRecord(path, since(cut.cycles, begin), metadata))
 
     def _loop_since_before(self) -> dict[str, Any]:
-        """Return the loop's counters since the record before."""
         before, self._timed = self._timed, self._timing.snapshot()
         counted = summary(self._timed, before)
         return {
@@ -284,7 +280,6 @@ class Recorder:
         return self._drift.take(seen, metadata["profile"]["data"]).as_json()
 
     def _store(self, now: float, *, at_once: bool) -> None:
-        """Try to store the oldest waiting record."""
         due = self._queue.due(now, at_once=at_once)
         if due is None:
             return

@@ -204,7 +204,6 @@ def _property(field: Field) -> Schema:
 
 
 def _messages(record: SwingRecord) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
-    """Yield topic, time (ns), sequence and content of all messages."""
     cycles = record.cycles
     # Two parts: seconds since 1970 have no nanoseconds in a double.
     begin = round(record.begin_utc * 1e6) * 1000
@@ -219,7 +218,6 @@ def _messages(record: SwingRecord) -> Iterator[tuple[str, int, int, dict[str, An
 
 
 def _rows(cycles: np.ndarray[Any, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the cycles' contents."""
     values = [cycles[field.name].tolist() for field in FIELDS]
     for row in zip(*values, strict=True):
         yield {

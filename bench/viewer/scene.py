@@ -277,7 +277,6 @@ def log_static_scene(recording: rr.RecordingStream, plant: PlantParameters) -> N
 
 
 def _mesh(body: DrawnBody) -> rr.Mesh3D:
-    """Return a drawn body as a mesh, coloured by its parts."""
     mesh = body.mesh
     return rr.Mesh3D(
         vertex_positions=mesh.vertices,

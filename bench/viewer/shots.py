@@ -74,7 +74,6 @@ class ShotSeries:
     def _log_flight(
         self, recording: rr.RecordingStream, times: Times, record: ShotRecord, struck: float, landed: float
     ) -> None:
-        """Log the ball's path and landing point."""
         flight = record.flight
         if flight is None:
             return
@@ -245,7 +244,6 @@ def _means(records: Sequence[ShotRecord]) -> list[str]:
 
 
 def _figures(title: str, shot: Shot) -> str:
-    """Return the shot's figures as Markdown."""
     rows = [
         ("Club", shot.club_speed_mps, 1 / _MPH, "mph", 1),
         ("Attack", shot.attack_angle_deg, 1, "°", 2),

@@ -238,7 +238,6 @@ class LiveView:
         self._follow_swing(cycles, at)
 
     def _show_hole(self, at: float) -> None:
-        """Interrupt all lines where cycles are missing."""
         self._trace, self._limited = None, -np.inf
         self._swinging = False
         location = self._times(np.array([at - 1e-4]))
@@ -278,7 +277,6 @@ class LiveView:
             self._flying = moving_ball(record, struck).after(now)
 
     def _show_flight(self) -> None:
-        """Show the trajectory since the last turn."""
         if self._flying is None:
             return
         now = self.axis.now
