@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 from bench.base.errors import Refused
 from bench.supervisor.timing_record import (
     BUCKETS,
-    FIRST_OCTAVE,
-    LAST_OCTAVE,
     LATE,
     LAYOUT,
-    PER_OCTAVE,
     SEGMENTS,
     STAMPS,
     TIMING,
     Stall,
+    upper_edges,
 )
 from drivers.base.compiled import compiled
 from drivers.base.shared_memory import SharedMemoryError
@@ -35,6 +33,7 @@ _PERIOD, _TICKS, _SKIPPED, _LATE, _DUE, _MAX_DURATION, _COUNT = (
 )
 """Offsets of the fields in the record as a vector of words."""
 _TICK = len(SEGMENTS) - 1
+_EDGES = upper_edges()
 
 BUDGET = 0.8
 """Max share of the period for a tick; the rest is reserve for disturbances by the machine."""
@@ -50,21 +49,8 @@ _COMPILED_ACTION = "check that NUMBA_DISABLE_JIT is not set: the numerics must r
 
 
 @compiled
-def bucket(duration: int) -> int:
-    """Return the bucket of `duration` (ns)."""
-    if duration < 1 << FIRST_OCTAVE:
-        return 0
-    if duration >= 1 << LAST_OCTAVE:
-        return BUCKETS - 1
-    octave = FIRST_OCTAVE
-    while duration >= 2 << octave:
-        octave += 1
-    return 1 + (octave - FIRST_OCTAVE) * PER_OCTAVE + (duration - (1 << octave)) * PER_OCTAVE // (1 << octave)
-
-
-@compiled
 def _count(words: Any, segment: int, duration: int) -> None:
-    words[_COUNT + segment * BUCKETS + bucket(duration)] += 1
+    words[_COUNT + segment * BUCKETS + np.searchsorted(_EDGES, duration, side="right")] += 1
     words[_MAX_DURATION + segment] = max(words[_MAX_DURATION + segment], duration)
 
 

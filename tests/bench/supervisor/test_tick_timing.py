@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from bench.base.errors import ExitCode, Refused
 from bench.supervisor.tick_timing import (
     TickTiming,
-    bucket,
     check_budget,
     create_timing,
     new_timing,
@@ -64,32 +63,29 @@ def random_ticks(n: int, seed: int = 0) -> NDArray[np.int64]:
     return np.random.default_rng(seed).lognormal(10.0, 2.0, (n, 8)).astype(np.int64)
 
 
-def test_bucket_edges_are_contiguous_and_fine() -> None:
+def test_upper_edges_are_fine() -> None:
     edges = upper_edges()
     assert len(edges) == BUCKETS
     inner = edges[:-1].astype(float)
     assert (inner[0], inner[-1]) == (256, 2**27)
     assert np.all(np.diff(inner) / inner[:-1] <= 1 / 16)
-    for k in range(BUCKETS - 1):
-        assert bucket(int(edges[k]) - 1) == k
-        assert bucket(int(edges[k])) == k + 1
 
 
-@given(durations)
-def test_bucket_matches_edge_search(duration: int) -> None:
-    edges = upper_edges()
-    assert bucket(duration) == np.searchsorted(edges, duration, side="right")
-
-
-def test_bucket_extreme_durations_are_clamped() -> None:
-    assert bucket(-5) == 0
-    assert bucket(2**62) == BUCKETS - 1
+@given(st.lists(durations | st.sampled_from([-5, 255, 256, 2**27 - 1, 2**27, 2**62]), max_size=20))
+def test_tick_timing_counts_latencies_between_edges(latencies: list[int]) -> None:
+    record = new_timing(PERIOD)
+    timing = TickTiming(record)
+    for latency in latencies:
+        timing.note(stamps_of([0] * 6, latency), 0, latency)
+    edges = [np.iinfo(np.int64).min, *upper_edges()]
+    counted, _ = np.histogram(latencies, edges)
+    assert record["count"][0, 0].tolist() == counted.tolist()
 
 
 @given(st.lists(durations, min_size=1, max_size=200), st.sampled_from([0.01, 0.5, 0.9, 0.99, 0.999, 1.0]))
 def test_percentile_agrees_with_numpy(values: list[int], share: float) -> None:
     count = np.zeros(BUCKETS, np.int64)
-    np.add.at(count, [bucket(value) for value in values], 1)
+    np.add.at(count, np.searchsorted(upper_edges(), values, side="right"), 1)
     exact = int(np.quantile(values, share, method="inverted_cdf"))
     found = percentile(count, share)
     assert exact <= found
