@@ -36,7 +36,6 @@ from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
 from bench.viewer.scene import (
     COLOURS,
     Array,
-    Times,
     bench_time,
     log_ball,
     log_codes,
@@ -80,11 +79,7 @@ def log_golfer_scene(recording: rr.RecordingStream, golfer: GolferSwing, plant: 
 
 
 def log_golfer(
-    recording: rr.RecordingStream,
-    times: Times,
-    golfer: GolferSwing,
-    span: tuple[float, float],
-    at_ball: Array,
+    recording: rr.RecordingStream, golfer: GolferSwing, span: tuple[float, float], at_ball: Array
 ) -> None:
     """Log the motion of `golfer` from the start of `span` (s) to the ball at its end.
 
@@ -95,14 +90,14 @@ def log_golfer(
     shown = (rows >= golfer.top_row) | (rows % _POSE_ROWS == 0)
     shown &= golfer.time >= start - struck
     shown &= np.isfinite(np.column_stack(list(golfer.position.values()))).all(axis=1)
-    columns = times(struck + golfer.time[shown])
+    columns = bench_time(struck + golfer.time[shown])
     for name, roles in (("body", _BODY), ("club", _CLUB)):
         chain = [golfer.position[role][shown] for role in roles if role in golfer.position]
         strips = rr.LineStrips3D.columns(strips=list(np.stack(chain, axis=1)))
         recording.send_columns(f"scene/golfer/{name}", columns, strips)
     turns = np.round((at_ball - golfer.angle[-1]) / (2 * np.pi))
     speed = np.linalg.norm(np.gradient(golfer.position["head"], golfer.time, axis=0), axis=1)
-    end = times(np.array([struck + 1e-3]))  # interrupts the lines before the next swing
+    end = bench_time(np.array([struck + 1e-3]))  # interrupts the lines before the next swing
     for entity, values in (
         ("angle_deg/golfer", np.degrees(golfer.angle + 2 * np.pi * turns)),
         ("golfer_head_speed_mps", speed[:, None]),
@@ -224,13 +219,13 @@ def log_shots(
     log_styles(recording)
     if golfer is not None:
         log_golfer_scene(recording, golfer, plant)
-    series, start = ShotSeries(), 0.0
+    series, start = ShotSeries(recording, bench_time), 0.0
     for record in records:
         passed = None if golfer is None else impact_time(record, plant)
         if golfer is not None and passed is not None:
             time, angle = record.cycles["time"], record.cycles["angle"]
             at_ball = np.array([np.interp(passed, time, column) for column in angle.T])
-            log_golfer(recording, bench_time, golfer, (start, start + passed - float(time[0])), at_ball)
+            log_golfer(recording, golfer, (start, start + passed - float(time[0])), at_ball)
         start = _log_shot(recording, series, record, plant, start) + PAUSE
         progress()
 
@@ -274,7 +269,7 @@ def _log_shot(
     struck = None if impact is None else start + impact - float(cycles["time"][0])
     rest = ball_at_rest(plant.robot, plant.site, plant.ball.radius)
     log_ball(recording, bench_time, np.array([start]), rest[None])
-    return max(end, series.log_shot(recording, bench_time, record, start, struck, rest))
+    return max(end, series.log_shot(record, start, struck, rest))
 
 
 def impact_time(record: ShotRecord, plant: PlantParameters) -> float | None:

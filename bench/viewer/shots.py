@@ -16,6 +16,7 @@ import rerun as rr
 
 from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
 from bench.viewer.scene import COLOURS, Array, Colour, Times, log_ball, send_scalars
+from sim.flight import Flight
 
 _YARD, _MPH = 0.9144, 0.44704
 _GRID = 5.0
@@ -28,9 +29,10 @@ _MAX_ROWS = 40
 
 
 class ShotSeries:
-    """The shots logged so far; one colour per ball."""
+    """The shots logged so far into `recording` at `times`; one colour per ball."""
 
-    def __init__(self) -> None:
+    def __init__(self, recording: rr.RecordingStream, times: Times) -> None:
+        self._recording, self._times = recording, times
         self.records: list[ShotRecord] = []
         """Their figures, without cycles and paths: a live view runs for days."""
         self._balls: dict[str, Colour] = {}
@@ -40,14 +42,7 @@ class ShotSeries:
         return self._balls.setdefault(ball, COLOURS[len(self._balls) % len(COLOURS)])
 
     def log_shot(
-        self,
-        recording: rr.RecordingStream,
-        times: Times,
-        record: ShotRecord,
-        start: float,
-        struck: float | None,
-        rest: Array,
-        latest: float = np.inf,
+        self, record: ShotRecord, start: float, struck: float | None, rest: Array, latest: float = np.inf
     ) -> float:
         """Log a shot from `start` with impact at `struck` (s; None without impact); return its end (s).
 
@@ -55,46 +50,40 @@ class ShotSeries:
         computes the whole flight before the ball lands.
         """
         self.records.append(_figures_only(record))
-        shown = end = start
+        recording, times, shown, end = self._recording, self._times, start, start
         if struck is not None and record.flight is not None:
             end = struck + float(record.flight.path[-1, 0])
             shown = min(struck + record.flight.time, latest)
-            self._log_flight(recording, times, record, struck, shown)
+            self._log_flight(record.shot, record.flight, struck, shown)
             flown = moving_ball(record, struck)
             log_moving_ball(recording, times, flown.upto(latest))
             near = flown.upto(min(latest, struck + 1.0))
             log_ball(recording, times, near.time, rest + near.position - near.position[0])
             if end <= latest:
                 log_gap(recording, times, end)
-            self._log_dispersion(recording, times, shown)
-        self._log_text(recording, times, record.shot, start, struck)
+            self._log_dispersion(times(np.array([shown])))
+        self._log_text(record.shot, start, struck)
         document(recording, "shots", times(np.array([min(shown, latest)])), shot_table(self.records))
         return end
 
-    def _log_flight(
-        self, recording: rr.RecordingStream, times: Times, record: ShotRecord, struck: float, landed: float
-    ) -> None:
-        flight = record.flight
-        if flight is None:
-            return
-        path, colour = flight.path, self.colour(record.shot.ball)
-        shot = f"range/shots/{record.shot.shot:03d}"
-        number = [rr.TimeColumn("shot", sequence=[record.shot.shot])]
+    def _log_flight(self, shot: Shot, flight: Flight, struck: float, landed: float) -> None:
+        path, colour, times = flight.path, self.colour(shot.ball), self._times
+        entity = f"range/shots/{shot.shot:03d}"
+        number = [rr.TimeColumn("shot", sequence=[shot.shot])]
         sparse = np.unique(np.append(np.arange(0, len(path), 4), len(path) - 1))
         line = rr.LineStrips3D.columns(strips=[path[sparse, 1:]])
         style = rr.LineStrips3D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.5))
-        _show(recording, f"{shot}/path", times(np.array([struck])) + number, line, style)
+        self._show(f"{entity}/path", times(np.array([struck])) + number, line, style)
         down = min(int(np.searchsorted(path[:, 0], flight.time)), len(path) - 1)
         point = rr.Points3D.columns(positions=path[down, 1:][None])
         dot = rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(4.0))
-        _show(recording, f"{shot}/landing", times(np.array([landed])) + number, point, dot)
+        self._show(f"{entity}/landing", times(np.array([landed])) + number, point, dot)
 
-    def _log_dispersion(self, recording: rr.RecordingStream, times: Times, at: float) -> None:
+    def _log_dispersion(self, now: list[rr.TimeColumn]) -> None:
         """Log the landing points of all valid shots, with two standard deviations per ball."""
-        now = times(np.array([at]))
         landed = [r for r in self.records if r.flight is not None and r.shot.status is not ShotStatus.FAILED]
         points = np.array([(r.flight.carry_side, _along(r)) for r in landed if r.flight is not None])
-        corner, unit = _log_grid(recording, now, points)
+        corner, unit = self._log_grid(now, points)
         for location, (ball, colour) in enumerate(self._balls.items()):
             mine = points[[r.shot.ball == ball for r in landed]]
             numbers = [str(r.shot.shot) for r in landed if r.shot.ball == ball]
@@ -104,37 +93,49 @@ class ShotSeries:
             name = "".join(c if c.isalnum() or c in "-_." else "_" for c in ball) or "ball"
             entity = f"dispersion/{name}"
             dots = rr.Points2D.columns(positions=shown, labels=numbers).partition([len(shown)])
-            _show(recording, f"{entity}/shots", now, dots, _dot(colour, 5.0, labels=False))
+            self._show(f"{entity}/shots", now, dots, _dot(colour, 5.0, labels=False))
             key = corner + unit * np.array([0.5, 0.06 + 0.08 * location])
             words = rr.Points2D.columns(
                 positions=[key], labels=[f"{ball}: {mine[:, 1].mean():.1f} m, {len(mine)} shots"]
             )
-            _show(recording, f"{entity}/key", now, words, _dot(colour, 5.0, labels=True))
+            self._show(f"{entity}/key", now, words, _dot(colour, 5.0, labels=True))
             if len(mine) >= _MIN_FOR_ELLIPSE:
                 ellipse = rr.LineStrips2D.columns(strips=[_ellipse(shown)])
                 line = rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.25))
-                _show(recording, f"{entity}/two_sigma", now, ellipse, line)
+                self._show(f"{entity}/two_sigma", now, ellipse, line)
 
-    def _log_text(
-        self, recording: rr.RecordingStream, times: Times, shot: Shot, start: float, struck: float | None
-    ) -> None:
+    def _log_text(self, shot: Shot, start: float, struck: float | None) -> None:
         """Log the shot's figures: target values at its start, measured values after the impact."""
         title = f"**Shot {shot.shot}: {shot.ball}**\n" if shot.ball else f"**Shot {shot.shot}**\n"
         before, after = f"{title}\n{shot.club}, swinging", _figures(title, shot)
         at, texts = ([start], [after]) if struck is None else ([start, struck], [before, after])
-        recording.send_columns(
+        self._recording.send_columns(
             "shot",
-            [*times(np.array(at)), rr.TimeColumn("shot", sequence=[shot.shot] * len(at))],
+            [*self._times(np.array(at)), rr.TimeColumn("shot", sequence=[shot.shot] * len(at))],
             rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(at)),
         )
 
+    def _log_grid(self, now: list[rr.TimeColumn], points: Array) -> tuple[Array, float]:
+        """Log a grid of metres around `points` (n, 2; right, along); return far left corner and length."""
+        middle = points.mean(axis=0)
+        reach = max(1.5 * _GRID, float(np.abs(points - middle).max()) + 0.5 * _GRID)
+        left, right = (_GRID * f((middle[0] + s * reach) / _GRID) for f, s in ((floor, -1), (ceil, 1)))
+        near, far = (_GRID * f((middle[1] + s * reach) / _GRID) for f, s in ((floor, -1), (ceil, 1)))
+        across, along = np.arange(near, far + 1, _GRID), np.arange(left, right + 1, _GRID)
+        lines = [[(left, -y), (right, -y)] for y in across] + [[(x, -near), (x, -far)] for x in along]
+        strips = rr.LineStrips2D.columns(strips=lines).partition([len(lines)])
+        style = rr.LineStrips2D.from_fields(colors=_LINE, radii=rr.Radius.ui_points(0.5), draw_order=-2.0)
+        self._show("dispersion/grid", now, strips, style)
+        marks = np.array([(left, -y) for y in across[1:-1]] + [(x, -near) for x in along[1::2]])
+        words = [f"{y:.0f} m" for y in across[1:-1]] + [f"{abs(x):.0f} m {_side(x)}" for x in along[1::2]]
+        texts = rr.Points2D.columns(positions=marks, labels=words).partition([len(marks)])
+        self._show("dispersion/marks", now, texts, _dot(_TEXT, 1.0, labels=True))
+        return np.array([left, -far]), far - near
 
-def _show(
-    recording: rr.RecordingStream, entity: str, times: list[rr.TimeColumn], columns: Any, style: Any
-) -> None:
-    """Log `columns` at `times` in a constant `style`."""
-    recording.send_columns(entity, times, columns)
-    recording.log(entity, style, static=True)
+    def _show(self, entity: str, times: list[rr.TimeColumn], columns: Any, style: Any) -> None:
+        """Log `columns` at `times` in a constant `style`."""
+        self._recording.send_columns(entity, times, columns)
+        self._recording.log(entity, style, static=True)
 
 
 def _dot(colour: Colour, size: float, *, labels: bool) -> rr.Points2D:
@@ -290,24 +291,6 @@ def _ellipse(points: Array) -> Array:
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
     drawn: Array = mean + circle * 2.0 * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     return drawn
-
-
-def _log_grid(recording: rr.RecordingStream, now: list[rr.TimeColumn], points: Array) -> tuple[Array, float]:
-    """Log a grid of metres around `points` (n, 2): right, along. Return its far left corner and length."""
-    middle = points.mean(axis=0)
-    reach = max(1.5 * _GRID, float(np.abs(points - middle).max()) + 0.5 * _GRID)
-    left, right = (_GRID * f((middle[0] + s * reach) / _GRID) for f, s in ((floor, -1), (ceil, 1)))
-    near, far = (_GRID * f((middle[1] + s * reach) / _GRID) for f, s in ((floor, -1), (ceil, 1)))
-    across, along = np.arange(near, far + 1, _GRID), np.arange(left, right + 1, _GRID)
-    lines = [[(left, -y), (right, -y)] for y in across] + [[(x, -near), (x, -far)] for x in along]
-    strips = rr.LineStrips2D.columns(strips=lines).partition([len(lines)])
-    style = rr.LineStrips2D.from_fields(colors=_LINE, radii=rr.Radius.ui_points(0.5), draw_order=-2.0)
-    _show(recording, "dispersion/grid", now, strips, style)
-    marks = np.array([(left, -y) for y in across[1:-1]] + [(x, -near) for x in along[1::2]])
-    words = [f"{y:.0f} m" for y in across[1:-1]] + [f"{abs(x):.0f} m {_side(x)}" for x in along[1::2]]
-    texts = rr.Points2D.columns(positions=marks, labels=words).partition([len(marks)])
-    _show(recording, "dispersion/marks", now, texts, _dot(_TEXT, 1.0, labels=True))
-    return np.array([left, -far]), far - near
 
 
 def _side(x: float) -> str:

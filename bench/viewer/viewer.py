@@ -169,7 +169,7 @@ class LiveView:
         self.axis = ViewClock()
         self.to_subscriber, self.to_rerun = Ages(), Ages()
         """Ages from a tick to its arrival here, and to its acceptance by Rerun."""
-        self.shots = ShotSeries()
+        self.shots = ShotSeries(recording, self._times)
         self._status: Mapping[str, Any] | None = None
         self._loop: Mapping[str, Any] | None = None
         self._codes: dict[str, int] = {}
@@ -272,7 +272,7 @@ class LiveView:
         start = min(self._swing_start or now, now)
         struck = None if record.flight is None else min(self._struck or now, now)
         self._struck = None
-        self.shots.log_shot(self._recording, self._times, record, start, struck, self._ball, latest=now)
+        self.shots.log_shot(record, start, struck, self._ball, latest=now)
         if struck is not None and record.flight is not None:
             self._flying = moving_ball(record, struck).after(now)
 
