@@ -15,12 +15,13 @@ import json
 import os
 import socket
 import subprocess
-import tempfile
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Self
 from urllib.parse import quote
 
@@ -198,9 +199,9 @@ class RerunWindow:
             expected, action = "one for the viewer's window", "Use --web and a browser, or --save FILE."
             raise BenchError("screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", expected, action)
         self._page: ViewerPage | None = None
-        self._folder = tempfile.TemporaryDirectory(prefix="golfbench-view-")
+        self._stack = ExitStack()
         try:
-            folder = Path(self._folder.name)
+            folder = Path(self._stack.enter_context(TemporaryDirectory(prefix="golfbench-view-")))
             environment = quiet_environment(folder, os.environ)
             environment.setdefault("XDG_RUNTIME_DIR", str(folder))
             self.port = free_port()
@@ -211,7 +212,7 @@ class RerunWindow:
                 arguments += ["--server-memory-limit", MEMORY]
             else:
                 arguments += ["--memory-limit", MEMORY]
-            self._said = (folder / "said").open("w+b")
+            self._said = self._stack.enter_context((folder / "said").open("w+b"))
             self._process = subprocess.Popen(
                 [str(rerun_program()), *arguments],
                 env=environment,
@@ -219,9 +220,10 @@ class RerunWindow:
                 stdout=self._said,
                 stderr=self._said,
             )
+            self._stack.callback(self._end)
             self._wait_until_it_listens([port for port in (self.port, source_port) if port is not None])
             if source_port is not None:
-                self._page = ViewerPage(source_port, self.port)
+                self._page = self._stack.enter_context(ViewerPage(source_port, self.port))
         except BaseException:
             self.close()
             raise
@@ -256,20 +258,14 @@ class RerunWindow:
 
     def close(self) -> None:
         """Close the viewer. May be called twice."""
-        if self._page is not None:
-            self._page.close()
-            self._page = None
-        process = getattr(self, "_process", None)
-        if process is not None and process.poll() is None:
-            process.terminate()
-            try:
-                process.wait(_END)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-        if (said := getattr(self, "_said", None)) is not None:
-            said.close()
-        self._folder.cleanup()
+        self._stack.close()
+
+    def _end(self) -> None:
+        self._process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END)
+        self._process.kill()
+        self._process.wait()
 
     def _wait_until_it_listens(self, ports: list[int]) -> None:
         deadline = time.monotonic() + _START
