@@ -18,8 +18,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Self
 
-from sim.air import Air
-
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import format_value
 from bench.base.lifecycle import Refusal

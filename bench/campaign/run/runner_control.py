@@ -9,8 +9,6 @@ from functools import partial, reduce
 from operator import getitem
 from typing import Any
 
-from sim.air import Air
-
 from bench.base.errors import Refused
 from bench.campaign.interruptions import differences, software_versions
 from bench.campaign.plan.carry import Measured, measured_of

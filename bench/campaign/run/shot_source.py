@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from sim.air import Air
 
 from bench.campaign.plan.bench_setup import Preparation
 from bench.campaign.plan.carry import Measured, carry_columns
@@ -22,7 +21,7 @@ from bench.records.shot.shot import Shot, ShotStatus, delivery_columns
 from bench.records.shot.shot_matcher import reported_columns
 from bench.store.records import CampaignState, Prompt, PromptKind
 from drivers.launch_monitor.record import LaunchRecord
-from sim.ball import Ball
+from sim.ball import Air, Ball
 from sim.impact import Delivery
 
 

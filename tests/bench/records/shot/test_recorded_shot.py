@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bench.viewer.signals import effort_limits, efforts, limits_of, signals_of
-from sim.air import Air
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Phase
