@@ -26,7 +26,6 @@ from bench.web.broadcaster import PageBroadcaster, TopicPoller
 from bench.web.campaign_service import CampaignArchive, CampaignService, RunningCampaigns
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
 from bench.web.commissioning_service import CommissioningService, CommissioningStore
-from bench.web.entry_forms import bench_values
 from bench.web.last_swing import SwingReader
 from bench.web.page_access import PageAddress, PageRole, checked_address, page_access
 from bench.web.page_service import Call, PageService, Pool
@@ -86,7 +85,7 @@ def serve_page(
         archive = CampaignArchive(configuration)
         campaigns = CampaignService(archive, downloads, program, runner)
         plans = PlanCatalogue(settings.data_dir, {"balls": configuration.balls, "clubs": configuration.clubs})
-        starts = StartService(service, program, plans, runner, viewer, lambda: bench_values(configuration))
+        starts = StartService(service, program, plans, runner, viewer, configuration)
         shelf = CommissioningStore(settings.data_dir, settings.id)
         log = settings.data_dir / "commissioning" / f".process-of-{settings.id}.log"
         command = BackgroundCommand(

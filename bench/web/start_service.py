@@ -1,14 +1,19 @@
-"""Requests of the page that run a command of `golfbench`: plans, forms, and the viewer.
+"""Requests of the page that run a command of `golfbench`: plans, measured values, and the viewer.
 
 A campaign starts from a shipped plan, or from one of the bench: a file in the folder `plans` next to its
 records. A request names one of the listed ones and nothing else.
+
+A form of the browser is a command with its options, which checks ranges and plausibility; its message is
+shown. Nothing is overwritten: a newer entry supersedes, and a running bench takes calibrations up when it is
+started again.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
+from datetime import UTC, datetime
 from ipaddress import ip_address
 from itertools import takewhile
 from pathlib import Path
@@ -17,12 +22,16 @@ from typing import TYPE_CHECKING, Any
 
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import parse_toml, read_text
+from bench.calibration.archive import calibration_of
+from bench.calibration.calibration import CalibrationKind, in_words
 from bench.campaign.plan.plan_file import EXAMPLES, campaign_names
+from bench.config import Configuration, database_url
+from bench.store.campaigns import CampaignStore
+from bench.store.database import is_there, open_database
 from bench.swing.library import profile_names
-from bench.web.answers import Asked, InvalidBody, UnknownName, json_answer, text_in
+from bench.web.answers import Asked, InvalidBody, UnknownName, json_answer, number_in, text_in
 from bench.web.campaign_service import STARTED
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
-from bench.web.entry_forms import FORMS, form_arguments
 from bench.web.page_access import PageRole
 from bench.web.page_service import PageService, Pool
 
@@ -140,11 +149,10 @@ class StartService:
         plans: PlanCatalogue,
         runner: BackgroundCommand,
         viewer: ViewerProcess,
-        values: Callable[[], dict[str, Any]],
+        configuration: Configuration,
     ) -> None:
-        """`values` returns the calibrations in force and the forms, as `bench_values`."""
         self._page, self._golfbench, self._plans = page, golfbench, plans
-        self._runner, self._viewer, self._values = runner, viewer, values
+        self._runner, self._viewer, self._configuration = runner, viewer, configuration
 
     def plans(self, _: Asked) -> list[dict[str, Any]]:
         """Return the plans that a campaign can be started from."""
@@ -195,14 +203,12 @@ class StartService:
         return {"note": f"{STARTED.format(name)}."}
 
     def values(self, _: Asked) -> dict[str, Any]:
-        """Return calibrations, air and forms."""
-        return self._values()
+        """Return calibrations in force, problems, the air, and the clubs to measure."""
+        return bench_values(self._configuration)
 
     def enter(self, asked: Asked) -> dict[str, Any]:
         """Store the values of a form."""
-        if (form := FORMS.get(asked.path["form"])) is None:
-            raise UnknownName("form")
-        arguments = form_arguments(form, asked.body, asked.text("by"))
+        arguments = form_arguments(asked.path["form"], asked.body, asked.text("by"))
         asked.once()
         return {"note": self._golfbench.output(*arguments).strip()}
 
@@ -240,3 +246,90 @@ def _order(sequence: list[dict[str, Any]]) -> list[dict[str, Any]]:
             found.append({"section": trial["section"], "block": trial["block"], "shots": []})
         found[-1]["shots"].append([trial[key] for key in ("role", "swing", "club", "ball")])
     return found
+
+
+MAX_NOTE_LENGTH = 200
+_COMMANDS = {"air": "campaign"} | dict.fromkeys(("encoders", "ball", "club", "valves"), "calibrate")
+"""Commands that a form may run, by name; aerodynamics of balls come from files, at the command line."""
+_OPTION = re.compile(r"[a-z][a-z-]{0,40}")
+
+
+def form_arguments(form: str, body: dict[str, Any], by: str) -> list[str]:
+    """Return the command's arguments for the values in `body`, entered `by` a person.
+
+    Each of its `numbers` is an option with its value or values.
+
+    Raises:
+        UnknownName: there is no such form.
+        InvalidBody: a value is none.
+    """
+    if form not in _COMMANDS:
+        raise UnknownName("form")
+    if not isinstance(numbers := body.get("numbers"), dict):
+        raise InvalidBody("numbers: an object")
+    found = [_COMMANDS[form], form, f"--by={by}"]
+    for option, value in numbers.items():
+        if not _OPTION.fullmatch(option):
+            raise InvalidBody("numbers: names of options")
+        given = value if isinstance(value, list) else [value]
+        for one in given:
+            number_in({option: one}, option)
+        found += [f"--{option}", *map(repr, given)]
+    for key in ("method", "note"):
+        if key in body and (text := text_in(body, key, MAX_NOTE_LENGTH, 0)):
+            found.append(f"--{key}={text}")
+    return [*found, "--", text_in(body, "club", MAX_NOTE_LENGTH)] if "club" in body else found
+
+
+def bench_values(configuration: Configuration) -> dict[str, Any]:
+    """Return calibrations in force, problems, the newest air, and the clubs of the configuration.
+
+    Raises:
+        BenchError: the database cannot be read.
+    """
+    now = datetime.now(UTC)
+    calibration = calibration_of(configuration, now)
+    entries = []
+    for kind in CalibrationKind:
+        entry = calibration.of(kind)
+        nominal = "not checked" if kind is CalibrationKind.INPUTS else "nominal, as the configuration has it"
+        missing = "missing" if calibration.required else nominal
+        if any(bad.kind == kind for bad in calibration.unreadable):
+            missing = "unreadable"
+        entries.append(
+            {
+                "kind": kind.value,
+                "words": missing if entry is None else in_words(entry.values),
+                "version": None if entry is None else entry.version,
+                "by": "" if entry is None else entry.by,
+                "date": None if entry is None else entry.date.isoformat(timespec="seconds"),
+                "expires": None if entry is None else entry.expires.isoformat(timespec="seconds"),
+                "expired": entry is not None and entry.expired(now),
+            }
+        )
+    return {
+        "club": calibration.club,
+        "clubs": list(configuration.clubs),
+        "entries": entries,
+        "problems": [problem.text for problem in calibration.problems(now)],
+        "air": _air(configuration, now),
+    }
+
+
+def _air(configuration: Configuration, now: datetime) -> dict[str, Any] | None:
+    """Return the newest reading of the air; None without one."""
+    bench = configuration.bench
+    url = database_url(bench.database, bench.data_dir)
+    if not is_there(url):
+        return None
+    with open_database(url, now) as engine:
+        found = CampaignStore(engine).newest_air(bench.id, datetime(1970, 1, 1, tzinfo=UTC))
+    if found is None:
+        return None
+    return {
+        "temperature_c": found.air.temperature - 273.15,
+        "pressure_hpa": found.air.pressure / 100.0,
+        "humidity_percent": 100.0 * found.air.relative_humidity,
+        "date": found.date.isoformat(timespec="seconds"),
+        "by": found.by,
+    }

@@ -26,7 +26,79 @@ export function showAccess(view) {
 
 const LABELS = { disarm: "Disarm", access: "Open access", secure: "End access" };
 
-// Forms for measured values.
+// Forms for measured values: each is a command of golfbench, with its options; the command checks ranges.
+// A field: option, label, unit; triple: one number for each joint.
+
+const JOINTS = ["shoulder", "arm", "wrist"];
+const FORMS = [
+  {
+    name: "air", title: "Air at the bench",
+    steps: [
+      "Read temperature, humidity and station pressure (not reduced to sea level) at the bench.",
+      "Shots on hardware use the reading from now on, for as long as their plan allows.",
+    ],
+    fields: [
+      { name: "temperature", label: "Temperature", unit: "°C" },
+      { name: "pressure", label: "Station pressure", unit: "hPa" },
+      { name: "humidity", label: "Relative humidity", unit: "%" },
+    ],
+  },
+  {
+    name: "encoders", title: "Encoder zeros", lasting: true,
+    steps: [
+      "Disarm, open the access, and lock the robot at its mechanical reference.",
+      "Enter the joint angles of that pose. The bench reads the counts itself while the robot is locked; enter them only if no bench runs.",
+      "Unlock the robot, leave, end the access; restart the bench and home it.",
+      "If one was mounted again, use golfbench calibrate encoders --remounted at the command line.",
+    ],
+    fields: [
+      { name: "from-pose", label: "Angles of the reference", unit: "°", triple: true },
+      { name: "uncertainty-deg", label: "Standard uncertainty", unit: "°" },
+      { name: "counts", label: "Counts at that pose", unit: "counts", triple: true, optional: true },
+      { name: "sign", label: "Signs, 1 or -1", triple: true, optional: true },
+    ],
+  },
+  {
+    name: "ball", title: "Position of the ball", lasting: true,
+    steps: [
+      "Disarm, open the access, and put a ball on its tee.",
+      "Measure its centre in the swing plane from the shoulder axis R1.",
+      "Leave, end the access, and enter the position; restart the bench.",
+    ],
+    fields: [
+      { name: "x", label: "Towards the target, from R1", unit: "m" },
+      { name: "y", label: "Up the swing plane, from R1", unit: "m" },
+      { name: "uncertainty-mm", label: "Standard uncertainty of both", unit: "mm" },
+    ],
+  },
+  {
+    name: "club", title: "Club in its mount", lasting: true, club: true,
+    steps: [
+      "Disarm, open the access, and clamp the club.",
+      "Measure from the wrist axis R3 to the centre of the face, and loft and lie as it sits.",
+      "Leave, end the access, and enter the values; restart the bench.",
+    ],
+    fields: [
+      { name: "length", label: "Wrist axis to the face", unit: "m" },
+      { name: "loft-deg", label: "Loft", unit: "°" },
+      { name: "lie-deg", label: "Lie", unit: "°" },
+      { name: "length-uncertainty-mm", label: "Uncertainty of the length", unit: "mm" },
+      { name: "angle-uncertainty-deg", label: "Uncertainty of the angles", unit: "°" },
+    ],
+  },
+  {
+    name: "valves", title: "Valve centres", lasting: true,
+    steps: [
+      "With everybody outside the guard, find for each valve the two commands at which its chambers begin to fill.",
+      "Their middle is the centre, half of their distance the dead band. Restart the bench.",
+    ],
+    fields: [
+      { name: "centre", label: "Centre, -1 to 1", triple: true },
+      { name: "dead-band", label: "Dead band to either side", triple: true },
+      { name: "uncertainty", label: "Standard uncertainty" },
+    ],
+  },
+];
 
 export async function loadValues() {
   const response = await fetch("/api/values", { cache: "no-store" }).catch(() => null);
@@ -34,7 +106,7 @@ export async function loadValues() {
   content = await response.json();
   by("values-card").hidden = false;
   by("values").replaceChildren(inForce(), ...content.problems.map((text) => make("p", { class: "bad" }, `Arming blocked: ${text}`)), air());
-  if (!by("forms").childElementCount) by("forms").replaceChildren(...content.forms.map(form));
+  if (!by("forms").childElementCount) by("forms").replaceChildren(...FORMS.map(form));
 }
 
 const day = (text) => (text ? new Date(text).toLocaleDateString() : "");
@@ -61,10 +133,10 @@ function form(one) {
   const numbers = one.fields.map((field) => {
     const label = `${field.label}${field.unit ? `, ${field.unit}` : ""}${field.optional ? " (may be empty)" : ""}`;
     if (!field.triple) return make("label", {}, label, " ", make("input", { id: id(field.name), inputmode: "decimal", autocomplete: "off" }));
-    return make("fieldset", {}, make("legend", {}, label), ...one.joints.map((joint, index) =>
+    return make("fieldset", {}, make("legend", {}, label), ...JOINTS.map((joint, index) =>
       make("label", {}, joint, " ", make("input", { id: id(field.name, index), inputmode: "decimal", autocomplete: "off", size: 8 }))));
   });
-  if (one.clubs.length) numbers.unshift(make("label", {}, "Club ", make("select", { id: id("club") }, ...one.clubs.map((club) => make("option", { value: club, selected: club === content.club }, club)))));
+  if (one.club) numbers.unshift(make("label", {}, "Club ", make("select", { id: id("club") }, ...content.clubs.map((club) => make("option", { value: club, selected: club === content.club }, club)))));
   const lasting = one.lasting ? [labelled("method", "Method and tool", { maxlength: 200 }), labelled("days", "Days until it expires (may be empty)", { inputmode: "numeric" }), labelled("note", "Remark", { maxlength: 200 })] : [];
   const button = make("button", { type: "button", id: id("enter"), on: { click: () => enter(one, id, said, button) } }, "Enter");
   return make("details", {}, make("summary", {}, one.title), make("ol", { class: "steps" }, ...one.steps.map((text) => make("li", {}, text))),
@@ -81,18 +153,22 @@ async function enter(one, id, said, button) {
   const tell = (text, bad) => { set(said, text); said.classList.toggle("bad", bad); };
   if (!operator()) { by("holder").focus(); tell("Write your name first, at the top.", true); return; }
   if (!mayOperate()) { tell("Not possible now: you may not operate, or the page is not connected.", true); return; }
-  const body = { number: randomNumber(), by: operator() };
+  const numbers = {}, body = { number: randomNumber(), by: operator(), numbers };
   for (const field of one.fields) {
-    const values = field.triple ? one.joints.map((_, index) => read(id(field.name, index))) : [read(id(field.name))];
+    const values = field.triple ? JOINTS.map((_, index) => read(id(field.name, index))) : [read(id(field.name))];
     if (values.some(Number.isNaN) || (values.includes(null) && !(field.optional && values.every((v) => v === null)))) {
       by(id(field.name, field.triple ? 0 : "")).focus();
       tell(`${field.label}: a number${field.triple ? " for each joint" : ""}.`, true);
       return;
     }
-    if (values[0] !== null) body[field.name] = field.triple ? values : values[0];
+    if (values[0] !== null) numbers[field.name] = field.triple ? values : values[0];
   }
-  if (one.clubs.length) body.club = by(id("club")).value;
-  if (one.lasting) Object.assign(body, { method: by(id("method")).value, note: by(id("note")).value, days: read(id("days")) });
+  if (one.club) body.club = by(id("club")).value;
+  if (one.lasting) {
+    Object.assign(body, { method: by(id("method")).value, note: by(id("note")).value });
+    const days = read(id("days"));
+    if (days !== null) numbers["expires-days"] = days;
+  }
   button.disabled = true;
   tell("Checking …", false);
   const answer = await send(`/api/values/${one.name}`, body, "", COMMAND_TIME);

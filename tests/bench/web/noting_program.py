@@ -31,7 +31,7 @@ elif given[:2] in (["campaign", "run"], ["campaign", "resume"]) or given[:1] == 
         sys.exit(1)
     if (folder / "fail").exists():
         fail("bench b", "held by Ann", "a free bench", "Wait.")
-elif given[:1] == ["calibrate"] and "--x=9.0" in given:
+elif given[:1] == ["calibrate"] and given[3:5] == ["--x", "9"]:
     fail("calibrate ball", "9", "up to 3 m", "Measure again.")
 elif given[:1] == ["view"]:
     if (folder / "fail").exists():

@@ -12,7 +12,6 @@ import pytest
 
 from bench.web.bench_link import accepted_commands, state_view
 from bench.web.broadcaster import event_text
-from bench.web.entry_forms import described_forms
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.web.browser_tab import Tab, open_tab
 from tests.bench.web.running_page import RunningPage, running_page
@@ -188,7 +187,7 @@ ANSWERS: dict[str, Any] = {
             "date": "d",
             "by": "b",
         },
-        "forms": described_forms(["c"]),
+        "clubs": ["c"],
     },
     "/api/commissioning/check": {"steps": [{"name": "n", "title": "t", "bounds": "b", "done": False}]},
 }

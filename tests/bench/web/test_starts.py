@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -20,14 +21,14 @@ import pytest
 
 from bench.base.address import free_port
 from bench.base.errors import BenchError, Refused
+from bench.commands.cli import command_line as all_commands
 from bench.config import Configuration
 from bench.web import command_line
 from bench.web.answers import InvalidBody
 from bench.web.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
-from bench.web.entry_forms import FORMS, form_arguments
 from bench.web.page_access import PageAddress
 from bench.web.page_server import run_outcome
-from bench.web.start_service import PlanCatalogue
+from bench.web.start_service import PlanCatalogue, form_arguments
 from tests.bench.fake_bench_service import FakeDesk, running_plane
 from tests.bench.web.conftest import publishing
 from tests.bench.web.noting_program import NotingProgram
@@ -266,79 +267,76 @@ def test_background_command_without_log_folder_starts_nothing(tmp_path: Path, pr
 
 # Measured values -------------------------------------------------------------------------------------
 
-BALL: dict[str, Any] = {"x": 0.1, "y": -1.5, "uncertainty-mm": 2, "method": "tape", "note": "", "days": None}
+BALL: dict[str, Any] = {"x": 0.1, "y": -1.5, "uncertainty-mm": 2}
+NOTES = {"method": "tape", "note": ""}
 
 
 def test_values_page_shows_and_enters_values(page: RunningPage, program: NotingProgram) -> None:
     shown = page.ask("GET", "/api/values").content
     assert [one["kind"] for one in shown["entries"]] == ["encoders", "ball", "club", "valves", "inputs"]
     assert shown["air"] is None
-    assert {one["name"] for one in shown["forms"]} == set(FORMS)
-    status, content = entered(page, "/api/values/ball", **BALL)
+    assert "driver" in shown["clubs"]
+    status, content = entered(page, "/api/values/ball", numbers=BALL, **NOTES)
     assert (status, content["note"]) == (200, f"ball version 1 of bench1 {SCRIPT}")
-    options = ["--by=Ann", "--x=0.1", "--y=-1.5", "--uncertainty-mm=2.0", "--method=tape"]
+    options = ["--by=Ann", "--x", "0.1", "--y", "-1.5", "--uncertainty-mm", "2", "--method=tape"]
     assert program.asked == [["calibrate", "ball", *options]]
-    status, content = entered(page, "/api/values/ball", **(BALL | {"x": 9}))
+    status, content = entered(page, "/api/values/ball", numbers=BALL | {"x": 9}, **NOTES)
     assert status == 409
     assert content["what"] == "Calibrate ball: 9; expected up to 3 m."
     assert content["action"] == "Measure again."
 
 
+def _options(command: str) -> set[str]:
+    kind, name = command.split()
+    parameters = all_commands().commands[kind].commands[name].params  # type: ignore[attr-defined]
+    return {option.removeprefix("--") for one in parameters for option in one.opts}
+
+
+def test_forms_of_browser_match_command_options() -> None:
+    script = (Path(command_line.__file__).parent / "static" / "forms.js").read_text()
+    table = script.partition("const FORMS")[2].partition("\n];")[0]
+    forms = {text.partition('"')[0]: text for text in re.split(r'\n    name: "', table)[1:]}
+    assert set(forms) == {"air", "encoders", "ball", "club", "valves"}
+    for name, text in forms.items():
+        fields = set(re.findall(r'{ name: "([^"]+)"', text))
+        assert fields, name
+        assert fields < _options(f"{'campaign' if name == 'air' else 'calibrate'} {name}"), name
+
+
 def test_form_arguments_match_command_options() -> None:
-    valves = {"centre": [0.01, -0.02, 0], "dead-band": [0.03, 0.03, 0.03], "uncertainty": 1e-3}
-    more = {"method": "", "note": "--config=/etc/passwd", "days": 30}
-    found = form_arguments(FORMS["valves"], valves | more, "--help")
-    assert found == [
-        *("calibrate", "valves", "--by=--help", "--centre", "0.01", "-0.02", "0.0"),
-        *("--dead-band", "0.03", "0.03", "0.03", "--uncertainty=0.001"),
-        *("--note=--config=/etc/passwd", "--expires-days=30"),
+    valves = {"centre": [0.01, -0.02, 0], "uncertainty": 1e-3, "expires-days": 30}
+    body = {"numbers": valves, "method": "", "note": "--config=/etc/passwd"}
+    assert form_arguments("valves", body, "--help") == [
+        *("calibrate", "valves", "--by=--help", "--centre", "0.01", "-0.02", "0"),
+        *("--uncertainty", "0.001", "--expires-days", "30", "--note=--config=/etc/passwd"),
     ]
-    poses = {"from-pose": [1, 2, 3], "uncertainty-deg": 0.1, "counts": [1, 2, 3]}
-    found = form_arguments(FORMS["encoders"], poses | {"method": "", "note": ""}, "Ann")
-    assert found[3:] == [
-        *("--from-pose", "1.0", "2.0", "3.0"),
-        "--uncertainty-deg=0.1",
-        "--counts",
-        "1",
-        "2",
-        "3",
-    ]
-    club = {
-        name: 1
-        for name in ("length", "loft-deg", "lie-deg", "length-uncertainty-mm", "angle-uncertainty-deg")
-    }
-    found = form_arguments(FORMS["club"], club | {"method": "", "note": "", "club": "--help"}, "Ann")
-    assert found[-2:] == ["--", "--help"]
+    found = form_arguments("club", {"numbers": {"length": 1}, "club": "--help"}, "Ann")
+    assert found == ["calibrate", "club", "--by=Ann", "--length", "1", "--", "--help"]
+    assert form_arguments("air", {"numbers": {"pressure": 1000.5}}, "Ann")[:2] == ["campaign", "air"]
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"x": "1; reboot"},
-        {"x": None},
-        {"x": True},
-        {"x": [1, 2, 3]},
-        {"x": 1e300},
+        {"numbers": BALL | {"x": "1; reboot"}},
+        {"numbers": BALL | {"x": None}},
+        {"numbers": BALL | {"x": True}},
+        {"numbers": BALL | {"x": {"a": 1}}},
+        {"numbers": BALL | {"x": 1e300}},
+        {"numbers": BALL | {"x": [1, 2, "3"]}},
+        {"numbers": BALL | {"x": [1, 2, float("nan")]}},
+        {"numbers": BALL | {"x=1 --y": 1}},
+        {"numbers": BALL | {"-c": 1}},
+        {"numbers": [1]},
+        {"numbers": None},
         {"method": "a\nb"},
         {"method": None},
         {"note": "x" * 201},
-        {"days": 0},
-        {"days": 1.5},
-        {"days": True},
     ],
 )
 def test_form_arguments_invalid_value_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidBody):
-        form_arguments(FORMS["ball"], BALL | wrong, "Ann")
-
-
-def test_form_arguments_invalid_triple_is_refused() -> None:
-    form = {"method": "", "note": "", "uncertainty-deg": 1}
-    for pose in ([1, 2], [1, 2, "3"], 1, {"a": 1}, [1, 2, float("nan")]):
-        with pytest.raises(InvalidBody):
-            form_arguments(FORMS["encoders"], form | {"from-pose": pose}, "Ann")
-    with pytest.raises(InvalidBody, match="whole"):
-        form_arguments(FORMS["encoders"], form | {"from-pose": [1, 2, 3], "counts": [1, 2, 2.5]}, "Ann")
+        form_arguments("ball", {"numbers": BALL} | NOTES | wrong, "Ann")
 
 
 # The viewer ------------------------------------------------------------------------------------------
