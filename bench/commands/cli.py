@@ -287,58 +287,50 @@ def _for_programs() -> bool:
 
 def explain(error: Exception) -> tuple[list[str], ExitCode]:
     """Return the messages for `error`, of a group those of its errors and its own, and the exit code."""
+    if isinstance(error, ExceptionGroup):
+        parts = [explain(part) for part in error.exceptions]
+        all_texts = [text for texts, _ in parts for text in texts]
+        if not _for_programs():
+            all_texts.append(f"{len(parts)} error{'s' * (len(parts) > 1)}: {error.message}")
+        return all_texts, max(code for _, code in parts)
+    fault = _fault(error)
+    record = fault.record()
+    if _for_programs():
+        return [json.dumps(record)], fault.exit_code
+    found, expected, action = (f"  {f'{key}:':9} {record[key]}" for key in ("found", "expected", "action"))
+    return ["\n".join((f"error: {fault.location}", found, expected, action))], fault.exit_code
+
+
+def _fault(error: Exception) -> BenchError:
+    """Return any `error` as one with place, found, expected and action."""
     from drivers.base import DriverError
 
-    for_programs = _for_programs()
     match error:
-        case ExceptionGroup():
-            parts = [explain(part) for part in error.exceptions]
-            all_texts = [text for texts, _ in parts for text in texts]
-            if not for_programs:
-                all_texts.append(f"{len(parts)} error{'s' * (len(parts) > 1)}: {error.message}")
-            return all_texts, max(code for _, code in parts)
-        case BenchError() if for_programs:
-            return [json.dumps(error.record())], error.exit_code
         case BenchError():
-            lines = (
-                f"error: {error.location}",
-                f"  found:    {error.found}",
-                f"  expected: {error.expected}",
-            )
-            return ["\n".join((*lines, f"  action:   {error.action}"))], error.exit_code
+            return error
         case TyperException():
-            action = "See golfbench COMMAND --help."
             found = error.format_message() or "no command"
-            return explain(BenchError("command line", found, "valid usage", action))
-        case DriverError() if for_programs:
-            action = "Check cable, power, driver and port."
-            return explain(_failure("device", str(error), "a device that works", action, ExitCode.DEVICE))
+            return BenchError("command line", found, "valid usage", "See golfbench COMMAND --help.")
         case DriverError():
-            return [f"error: {error}"], ExitCode.DEVICE
+            expected, action = "a device that works", "Check cable, power, driver and port."
+            return _failure(ExitCode.DEVICE, "device", str(error), expected, action)
         case FileNotFoundError() if not _has_working_directory():
-            text = "error: working directory: it was deleted\n  action:   cd to a folder that exists"
-            return [text], ExitCode.FILE
+            expected, action = "a folder that exists", "Change to a folder that exists."
+            return _failure(ExitCode.FILE, "working directory", "it was deleted", expected, action)
         case OSError(filename=str() | bytes() | Path()):
-            return explain(_unusable(os.fsdecode(error.filename), error))
+            return _unusable(os.fsdecode(error.filename), error)
         case OSError(errno=errno.ENOSPC | errno.EDQUOT | errno.EIO | errno.EROFS):
-            return explain(_unusable("standard output or a file", error))
-        case _ if for_programs:
-            found = f"{type(error).__name__}: {error}"
-            action = "Report it with the output of golfbench --debug."
-            return explain(_failure("internal error", found, "none", action, ExitCode.INTERNAL))
-        case _:
-            cause = f"internal error: {type(error).__name__}: {error}"
-            return [
-                f"{cause}\n  action:   report it with the output of golfbench --debug ..."
-            ], ExitCode.INTERNAL
+            return _unusable("standard output or a file", error)
+    found, action = f"{type(error).__name__}: {error}", "Report it with the output of golfbench --debug."
+    return _failure(ExitCode.INTERNAL, "internal error", found, "no error", action)
 
 
 def _unusable(location: str, error: OSError) -> BenchError:
     expected, action = "a file or folder that can be used", "Check path, rights and disk space."
-    return _failure(location, error.strerror or str(error), expected, action, ExitCode.FILE)
+    return _failure(ExitCode.FILE, location, error.strerror or str(error), expected, action)
 
 
-def _failure(location: str, found: str, expected: str, action: str, code: ExitCode) -> BenchError:
+def _failure(code: ExitCode, location: str, found: str, expected: str, action: str) -> BenchError:
     fault = BenchError(location, found, expected, action)
     fault.exit_code = code
     return fault

@@ -261,13 +261,17 @@ def test_shell_completion_completes_command_name() -> None:
             2,
             ["Correct the value.", "Correct the key."],
         ),
-        (DriverError("valve island: found no answer"), 69, ["error: valve island: found no answer"]),
+        (
+            DriverError("valve island: found no answer"),
+            69,
+            ["error: device", "valve island: found no answer"],
+        ),
         (
             FileNotFoundError(2, "No such file or directory", "swing.toml"),
             74,
             ["error: swing.toml\n", "found:    No such file", "Check path"],
         ),
-        (ZeroDivisionError("1/0"), 70, ["internal error: ZeroDivisionError: 1/0", "--debug"]),
+        (ZeroDivisionError("1/0"), 70, ["error: internal error", "ZeroDivisionError: 1/0", "--debug"]),
         (KeyboardInterrupt(), 130, []),
         (Terminated(), 143, []),
     ],
@@ -346,7 +350,7 @@ def test_main_deleted_working_directory_is_reported(
     monkeypatch.chdir(gone)
     gone.rmdir()
     assert run(FileNotFoundError(errno.ENOENT, "No such file or directory")) == ExitCode.FILE
-    assert "working directory: it was deleted" in capsys.readouterr().err
+    assert "working directory\n  found:    it was deleted" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["sim/__init__.py", "drivers/__init__.py", "sim.py"])
