@@ -21,7 +21,6 @@ from bench.commands.common.command import (
     ClubName,
     ClusterAddress,
     Json,
-    Plot,
     Processes,
     ProfileName,
     Session,
@@ -30,7 +29,6 @@ from bench.commands.common.command import (
     flag,
     known_profiles,
     option,
-    require_picture,
     show_json,
     sweep_engine,
 )
@@ -68,7 +66,6 @@ def list_profiles(json_: Json = False) -> None:
 def show(
     context: typer.Context,
     profile: Name,
-    plot: Plot = None,
     table: Annotated[
         bool, flag("--table", "Print all of it as one TOML file with its tables, to read or edit.")
     ] = False,
@@ -77,18 +74,13 @@ def show(
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, profile_text
 
-    require_picture(plot)
     path = find_profile(profile)
     swing = load_profile(path)
     if table:
         typer.echo(profile_text(swing), nl=False)
         return
     plant = context.ensure_object(Session).configuration().plant
-    console = Console()
-    console.print(details(swing, path, plant), highlight=False)
-    if plot is not None:
-        draw(swing, plant, plot)
-        typer.echo(f"Picture: {plot}")
+    Console().print(details(swing, path, plant), highlight=False)
 
 
 @app.command()
@@ -243,12 +235,11 @@ def address(
     typer.echo(f"{output}: chambers at {pressures} bar absolute, supply {planned.air_supply / 1e5:.2f} bar.")
 
 
-# Tables and pictures ---------------------------------------------------------------------------------
+# Tables ----------------------------------------------------------------------------------------------
 
 _BARS = " ▁▂▃▄▅▆▇█"
 _WIDTH = 64
 _UNITS = {"mps": "m/s", "deg": "°", "mm": "mm", "m": "m", "s": "s", "j": "J", "pa": "Pa"}
-_COLOURS = ("#1f5fa8", "#d1495b", "#2a9d5c")
 
 
 _YARD = 0.9144
@@ -419,51 +410,6 @@ def _groups(profile: Profile) -> list[Table]:
             table.add_row((what if known else name).replace("_", " "), f"{value:.6g}", _UNITS.get(suffix, ""))
         tables.append(table)
     return tables
-
-
-def draw(profile: Profile, plant: PlantParameters, path: Path) -> None:
-    """Write a picture (PNG, SVG or PDF by the suffix of `path`) of the planned motion.
-
-    Raises:
-        ValueError: no picture format has that suffix.
-        NotStored: `path` cannot be written.
-    """
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    from bench.records.shot.plot_style import save_picture
-    from bench.swing.motion import Motion, phase_times
-    from drivers.base import ACTUATORS
-
-    motion = Motion(profile, plant)
-    time = np.arange(len(profile.angle)) * profile.period
-    figure = Figure(figsize=(9.0, 9.0), layout="constrained")
-    axes = figure.subplots(4, 1, sharex=True)
-    cock = 360.0 - np.degrees(profile.angle[:, 2])
-    rows = (
-        (np.degrees(profile.angle[:, 0]), "shoulder θ1, °"),
-        (1e3 * motion.position[:, 1], "right-arm rod, mm"),
-        (cock, "wrist cock, °"),
-    )
-    for ax, (values, label), colour in zip(axes, rows, _COLOURS, strict=False):
-        ax.plot(time, values, color=colour)
-        ax.set_ylabel(label)
-    axes[3].plot(time, motion.head_speed, color="black", label="head, m/s")
-    axes[3].set_ylabel("head, m/s")
-    valves = axes[3].twinx()
-    for i, name in enumerate(ACTUATORS):
-        valves.plot(time, profile.valve[:, i], color=_COLOURS[i], linewidth=0.7, alpha=0.8, label=name)
-    valves.set(ylim=(-1.05, 1.05), ylabel="valve opening")
-    valves.legend(loc="upper left", fontsize=8, ncols=3, frameon=False)
-    for ax in axes:
-        for _, begin, _ in phase_times(profile)[1:]:
-            ax.axvline(begin, color="#bbbbbb", linewidth=0.7)
-        ax.axvline(profile.impact_time, color="#d1495b", linestyle="--", linewidth=0.9)
-        ax.grid(alpha=0.25)
-    axes[0].set_title(f"{profile.name}: {profile.text}", loc="left", fontsize=10)
-    axes[3].set_xlabel("time, s; dashed: planned contact; grey: phases")
-    axes[3].set_xlim(0.0, profile.duration)
-    save_picture(figure, path)
 
 
 def check_table(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> Table:

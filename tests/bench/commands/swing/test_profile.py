@@ -152,7 +152,7 @@ def test_learn_running_bench_club_option_is_refused(run: Run) -> None:
     [
         "learn slow --sim --output no/x.toml",
         "profile design no/x.toml",
-        "profile show slow --plot no/x.png",
+        "compare slow slow --plot no/x.png",
     ],
 )
 def test_commands_missing_output_folder_is_refused_before_work(
@@ -188,14 +188,11 @@ def test_profile_list_shows_one_line_per_profile(run: Run) -> None:
     assert (found["name"], found["club"], found["duration"]) == ("slow", "driver", 2.0)
 
 
-def test_profile_show_prints_phases_and_writes_plot(run: Run, tmp_path: Path) -> None:
-    answer = run("profile", "show", "slow", "--plot", "slow.png")
+def test_profile_show_prints_phases_and_delivery(run: Run) -> None:
+    answer = run("profile", "show", "slow")
     assert answer.code == ExitCode.OK
-    for text in ("Phases", "follow through", "head speed", "m/s", "Picture: slow.png"):
+    for text in ("Phases", "follow through", "head speed", "m/s"):
         assert text in answer.out
-    assert (tmp_path / "slow.png").read_bytes().startswith(b"\x89PNG")
-    assert run("profile", "show", "slow", "--plot", "slow.txt").code == ExitCode.BAD_INPUT
-    assert run("profile", "show", "slow", "--plot", "none/slow.png").code == ExitCode.FILE
 
 
 def test_profile_show_table_prints_loadable_profile(run: Run, tmp_path: Path) -> None:
