@@ -189,5 +189,28 @@ def absent_monitor_text(link: LaunchMonitorStatus) -> str:
     return f"the launch monitor reports no ball: {launch_monitor_text(link)}"
 
 
+def warning_texts(status: BenchStatus) -> list[str]:
+    """Return the warnings to the operator: readiness, air, drift, device, processes, launch monitor."""
+    found = [f"arming blocked: {block_text(block)}" for block in status["arming_blocks"]]
+    found += [*status["readiness_warnings"], *status["air_faults"], *status["drift"]]
+    if fault := status["device"]["fault"]:
+        found.append(f"device: {fault}")
+    for name, process in status["processes"].items():
+        if not process["alive"]:
+            found.append(": ".join(filter(None, (f"process {name} is not running", process["note"]))))
+    if not status["support_ready"]:
+        found.append("nothing is armed without recorder and publisher")
+    monitor = status["launch_monitor"]
+    if monitor is not None and not monitor["present"]:
+        found.append(absent_monitor_text(monitor))
+    if monitor is not None and monitor["note"]:
+        found.append(f"launch monitor: {monitor['note']}")
+    if (lease := status["lease"]) is not None and lease["lapsing"]:
+        found.append(f"the lease of {lease['holder']} lapses soon unless renewed: an armed bench disarms")
+    if status["read_only"]:
+        found.append("read only: the bench observes and sends nothing but safe outputs")
+    return found
+
+
 def _condition(yes: str, no: str, holds: bool) -> StatusCondition:
     return StatusCondition(yes if holds else no, holds)

@@ -25,8 +25,6 @@ from bench.network.status_words import (
     MOVING,
     PHASE_WORDS,
     REACTION_WORDS,
-    absent_monitor_text,
-    block_text,
     interlock_conditions,
     next_step,
     robot_conditions,
@@ -34,6 +32,7 @@ from bench.network.status_words import (
     shut_off_words,
     state_words,
     vent_words,
+    warning_texts,
 )
 from bench.network.zenoh_session import NoAnswer, open_client
 from bench.viewer.feed import Feed
@@ -66,7 +65,7 @@ def state_view(status: BenchStatus) -> dict[str, Any]:
         "chambers": [{"name": name, "a_pa": a, "b_pa": b} for name, a, b in sides],
         "vents": vent_words(status["vents_open"]),
         "shut_off": shut_off_words(status["shut_off_open"]),
-        "warnings": _warnings(status),
+        "warnings": warning_texts(status),
         "accepts": accepted_commands(state),
         **{name: status[name] for name in _UNCHANGED},  # type: ignore[literal-required]
     }
@@ -119,29 +118,6 @@ def _cause(cause: CauseStatus | None) -> dict[str, str] | None:
     if cause is None:
         return None
     return {"name": cause["name"], "what": sentence(cause["text"]), "action": sentence(cause["action"])}
-
-
-def _warnings(status: BenchStatus) -> list[str]:
-    """Return the warnings to the operator: readiness, air, drift, device, processes, launch monitor."""
-    found = [f"arming blocked: {block_text(block)}" for block in status["arming_blocks"]]
-    found += [*status["readiness_warnings"], *status["air_faults"], *status["drift"]]
-    if fault := status["device"]["fault"]:
-        found.append(f"device: {fault}")
-    for name, process in status["processes"].items():
-        if not process["alive"]:
-            found.append(": ".join(filter(None, (f"process {name} is not running", process["note"]))))
-    if not status["support_ready"]:
-        found.append("nothing is armed without recorder and publisher")
-    monitor = status["launch_monitor"]
-    if monitor is not None and not monitor["present"]:
-        found.append(absent_monitor_text(monitor))
-    if monitor is not None and monitor["note"]:
-        found.append(f"launch monitor: {monitor['note']}")
-    if (lease := status["lease"]) is not None and lease["lapsing"]:
-        found.append(f"the lease of {lease['holder']} lapses soon unless renewed: an armed bench disarms")
-    if status["read_only"]:
-        found.append("read only: the bench observes and sends nothing but safe outputs")
-    return found
 
 
 TOPICS = ("state", "event", "shot", "loop")

@@ -18,12 +18,10 @@ from bench.network.bench_service import (
     CauseStatus,
     DeviceStatus,
     LaunchMonitorStatus,
-    LeaseStatus,
 )
 from bench.network.client import BenchClient
 from bench.network.status_words import (
     StatusCondition,
-    block_text,
     interlock_conditions,
     launch_monitor_text,
     next_command,
@@ -31,6 +29,7 @@ from bench.network.status_words import (
     robot_conditions,
     shut_off_words,
     vent_words,
+    warning_texts,
 )
 from drivers.base import ACTUATORS, JOINTS
 
@@ -109,14 +108,15 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     chambers = [_value(pressure, "{:.2f}", 1e-5) for pressure in status["chamber_pressure_pa"]]
     sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)
     joints = zip(JOINTS, status["joints_deg"], strict=True)
+    warnings = "\n".join(warning_texts(status))
     rows: list[tuple[str, Text | str]] = [
         ("phase", moves),
         ("next", f"{next_step(status)} {next_command(status)}"),
         ("cause", _cause(cause) if cause else "none"),
         *([("then found", _cause(latest))] if latest else []),
-        ("lease", _lease(lease) if lease else "not held"),
+        ("warnings", Text(warnings, "yellow") if warnings else "none"),
+        ("lease", f"{lease['holder']}, {lease['seconds_left']:.0f} s left" if lease else "not held"),
         ("robot", _flags(robot_conditions(status))),
-        ("readiness", _readiness(status)),
         ("interlocks", _flags(interlock_conditions(status))),
         ("joints", ", ".join(f"{name} {_value(angle, '{:.1f}°')}" for name, angle in joints)),
         ("supply", _value(status["supply_pressure_pa"], "{:.2f}", 1e-5) + " bar absolute"),
@@ -124,8 +124,6 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         ("spools", ", ".join(_value(position, "{:+.2f}") for position in status["spool_positions"])),
         ("vents", vent_words(status["vents_open"])),
         ("shut-off valve", shut_off_words(status["shut_off_open"])),
-        ("air", Text("\n".join(status["air_faults"]), "red") if status["air_faults"] else "no fault found"),
-        ("drift", Text("\n".join(status["drift"]), "yellow") if status["drift"] else "none seen"),
         (
             "loop",
             f"{loop['rate_hz']:.1f} Hz, tick {status['tick']}, "
@@ -133,7 +131,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
             f"woken p50 {1e6 * loop['wake_p50_s']:.0f} µs, p99 {1e6 * loop['wake_p99_s']:.0f} µs; "
             f"tick p99 {1e6 * loop['tick_p99_s']:.0f} µs",
         ),
-        ("device", _device(status["device"])),
+        ("device", _counters(status["device"])),
         ("real time", _real_time(status["real_time"])),
         ("processes", _processes(status)),
         ("launch monitor", _launch_monitor(status["launch_monitor"])),
@@ -147,8 +145,6 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     ]
     if status["last_stop"]:
         rows.append(("last stop", ", ".join(str(value) for value in status["last_stop"].values())))
-    if status["read_only"]:
-        rows.append(("read only", Text("observes and sends nothing but safe outputs", "yellow")))
     return [(name, Text(value) if isinstance(value, str) else value) for name, value in rows]
 
 
@@ -156,57 +152,30 @@ def _cause(cause: CauseStatus) -> Text:
     return Text(f"{cause['name']}: {in_one((cause['text'], cause['action']))}", "red")
 
 
-def _lease(lease: LeaseStatus) -> Text:
-    told = Text(f"{lease['holder']}, {lease['seconds_left']:.0f} s left")
-    if lease["lapsing"]:
-        told.append("\nlapses soon, an armed bench then disarms: golfbench lease renew", "yellow")
-    return told
-
-
 def _flags(conditions: list[StatusCondition]) -> Text:
     """Return the words for `conditions`; in yellow, those not met."""
     return Text(", ").join(Text(text, "" if holds else "yellow") for text, holds in conditions)
-
-
-def _readiness(status: BenchStatus) -> Text:
-    """Return what blocks arming, in red, and the warnings, in yellow."""
-    told = Text("\n").join(
-        [Text(f"arming blocked: {block_text(block)}", "red") for block in status["arming_blocks"]]
-        + [Text(warning, "yellow") for warning in status["readiness_warnings"]]
-    )
-    return told or Text("configuration, calibrations and profile permit arming")
 
 
 def _processes(status: BenchStatus) -> Text:
     words = []
     for name, process in status["processes"].items():
         note = f": {process['note']}" if process["note"] else ""
-        if process["alive"]:
-            words.append(Text(f"{name} {process['pid']}{note}"))
-        else:
-            words.append(Text(f"{name} DEAD{note}", "bold red"))
-    told = Text(", ").join(words)
-    if not status["support_ready"]:
-        told.append("\nnothing is armed without recorder and publisher", "yellow")
-    return told
+        alive = process["alive"]
+        words.append(Text(f"{name} {process['pid'] if alive else 'DEAD'}{note}", "" if alive else "bold red"))
+    return Text(", ").join(words)
 
 
-def _device(device: DeviceStatus) -> Text:
-    """Return the fault of the device and its non-zero counters."""
-    told = Text(device["fault"], "red") if device["fault"] else Text("no fault reported")
-    if counted := {name: count for name, count in device["counters"].items() if count}:
-        told.append(f"\n{_pairs(counted)}", "default")
-    return told
+def _counters(device: DeviceStatus) -> str:
+    return _pairs({name: count for name, count in device["counters"].items() if count})
 
 
 def _launch_monitor(link: LaunchMonitorStatus | None) -> Text:
-    """Return the connected monitors and their counts; a missing monitor and remarks are yellow."""
+    """Return the connected monitors and their counts; a missing monitor and refusals are yellow."""
     if link is None:
         return Text("none configured")
     where = f"listening at {link['listening']}" if link["listening"] else "not listening"
     told = Text(f"{launch_monitor_text(link)}, {where}", "" if link["present"] else "yellow")
-    if link["note"]:
-        told.append(f"\n{link['note']}", "yellow")
     if counted := ", ".join(f"{outcome} {count}" for outcome, count in link["outcomes"].items() if count):
         told.append(f"\n{counted}")
     if link["refused"]:
