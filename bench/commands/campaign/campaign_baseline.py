@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import inf, isfinite
+from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from bench.base.errors import BenchError
-from bench.base.from_toml import format_value, read_toml
+from bench.base.from_toml import checked_values, read_toml
 from bench.campaign.plan.shot_sequence import Role
 from bench.campaign.run.runner import RunOutcome
 from bench.records.shot.shot import Shot, ShotStatus
@@ -28,8 +28,12 @@ class Band:
     """Where one figure must lie."""
 
     path: str
-    low: float
-    high: float
+    low: float = field(default=-inf, metadata={"optional": True})
+    high: float = field(default=inf, metadata={"optional": True})
+
+    def __post_init__(self) -> None:
+        if self.low > self.high or (self.low, self.high) == (-inf, inf):
+            raise ValueError("low, high or both, low at most high")
 
 
 @dataclass(frozen=True)
@@ -57,34 +61,20 @@ def read_baseline(path: Path) -> list[Band]:
         ExceptionGroup: BenchErrors, one for each mistake in it.
     """
     raw = read_toml(path, "a baseline", "Correct the path.")
-    entries = raw.get("figure")
-    action = "Write [[figure]] with path, low and high."
-    if not isinstance(entries, list) or not entries or set(raw) != {"figure"}:
-        raise BenchError(
-            str(path), f"keys {', '.join(raw) or 'none'}", "[[figure]] entries, no other key", action
-        )
-    faults, bands = [], list[Band]()
+    entries, action = raw.get("figure"), "Write [[figure]] with path, low and high."
+    if set(raw) != {"figure"} or not isinstance(entries, list) or not entries:
+        expected = "[[figure]] entries, no other key"
+        raise BenchError(str(path), f"keys {', '.join(raw) or 'none'}", expected, action)
+    faults, bands = list[Exception](), list[Band]()
     for number, entry in enumerate(entries, 1):
-        if fault := _fault(entry):
-            faults.append(BenchError(f"{path}: figure {number}", fault, "path, low and high", action))
-        else:
-            bands.append(Band(entry["path"], float(entry.get("low", -inf)), float(entry.get("high", inf))))
+        try:
+            content = entry if isinstance(entry, dict) else {}
+            bands.append(checked_values(Band, content, f"{path}: figure {number}", action))
+        except ExceptionGroup as wrong:
+            faults += wrong.exceptions
     if faults:
         raise ExceptionGroup(f"{path} is invalid", faults)
     return bands
-
-
-def _fault(entry: Any) -> str:
-    if not isinstance(entry, dict) or not isinstance(entry.get("path"), str):
-        return "no path"
-    if unknown := set(entry) - {"path", "low", "high"}:
-        return f"unknown key {sorted(unknown)[0]}"
-    bounds = [entry[key] for key in ("low", "high") if key in entry]
-    if not bounds or any(
-        isinstance(b, bool) or not isinstance(b, int | float) or not isfinite(b) for b in bounds
-    ):
-        return f"bounds {format_value(bounds)}"
-    return "low above high" if len(bounds) == 2 and bounds[0] > bounds[1] else ""
 
 
 def check_baseline(record: Mapping[str, Any], bands: Sequence[Band]) -> list[Checked]:
