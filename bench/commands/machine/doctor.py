@@ -1,8 +1,8 @@
 """Checks of this machine for `golfbench doctor`, with status, finding and advice for each item.
 
-Nothing here raises or changes the machine. Checks that may end or change a process
-(imports of binary packages, real-time scheduling, memory locks) run in a child process, see
-`bench.commands.machine.probe`.
+Nothing here raises or changes the machine. Checks that may end or change a process (imports of binary
+packages, real-time scheduling, memory locks, makers' drivers) run in a child process: this module with the
+name of a question, whose answer it prints as JSON.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ from rich.console import Group
 from rich.text import Text
 
 from bench.base.atomic_file import nearest_entry
+from bench.base.clock import GridClock
 from bench.commands.common.output import plain_table
-from bench.supervisor.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK
+from bench.supervisor.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK, real_time
 
 SCHEMA_VERSION = 1
 """Version of the JSON report; it changes when a field is renamed or changes its meaning."""
@@ -45,6 +46,9 @@ CHILD_TIME_LIMIT = 60.0
 """Seconds a child process may take before its question counts as unanswered."""
 
 _ARPHRD_CAN = "280"
+_CLOCKS = "/sys/devices/system/clocksource/clocksource0"
+_STEADY = frozenset({"tsc", "arch_sys_counter", "kvm-clock"})
+"""Clock sources that a read costs no trip to a chip."""
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
 _MODULES = {"eclipse-zenoh": "zenoh", "python-can": "can", "rerun-sdk": "rerun"}
@@ -349,10 +353,14 @@ def clock() -> ItemResult:
     stated = time.clock_getres(time.CLOCK_MONOTONIC)
     stamps = [time.monotonic_ns() for _ in range(10_000)]
     step = min((b - a for a, b in itertools.pairwise(stamps) if b > a), default=0)
-    source = small_text("/sys/devices/system/clocksource/clocksource0/current_clocksource") or "unknown"
+    source = small_text(f"{_CLOCKS}/current_clocksource") or "unknown"
     value = f"resolution {stated * 1e9:.0f} ns, observed step {step} ns, source {source}"
+    has_tsc = "tsc" in small_text(f"{_CLOCKS}/available_clocksource").split()
+    action = "boot with clocksource=tsc" if has_tsc else "see dmesg for why the kernel gave up tsc"
     if stated > 1e-6 or step > 5_000:
-        return limited(value, "too coarse for 1 kHz: boot with clocksource=tsc")
+        return limited(f"{value}: too coarse for 1 kHz", action)
+    if source not in _STEADY:
+        return limited(f"{value}: each read of the clock takes microseconds", action)
     return ok(value)
 
 
@@ -417,8 +425,7 @@ def daq_cards() -> ItemResult:
 
 
 def _child(question: str) -> str:
-    """Return what `bench.commands.machine.probe` prints on `question`; raises when it fails or is late."""
-    return _run("-m", "bench.commands.machine.probe", question)
+    return _run("-m", "bench.commands.machine.doctor", question)
 
 
 def _run(*arguments: str) -> str:
@@ -438,3 +445,83 @@ def small_text(path: str | Path) -> str:
         return Path(path).read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
+
+
+# Questions to a child process ------------------------------------------------------------------------
+
+
+def wake_up_latencies(ticks: int = 500, period_ns: int = 1_000_000) -> list[float]:
+    """Return how late (s, ascending) the loop's clock wakes on its grid."""
+    clock = GridClock(period_ns)
+    latencies = []
+    for _ in range(ticks):
+        clock.wait()
+        latencies.append((clock.woke - clock.due) * 1e-9)
+    return sorted(latencies)
+
+
+def _realtime() -> dict[str, Any]:
+    """Return the real-time settings the kernel grants, and the wake-up latency (us) under them."""
+    with real_time("prefer") as granted:
+        late = wake_up_latencies()
+    quantiles = {"p50_us": 0.5, "p99_us": 0.99, "max_us": 1.0}
+    return {
+        **granted,
+        "latency": {
+            name: round(late[min(int(q * len(late)), len(late) - 1)] * 1e6, 1)
+            for name, q in quantiles.items()
+        },
+    }
+
+
+def _can_channels() -> list[str]:
+    """Return the attached CAN channels as `interface:channel`; no network is searched."""
+    import can
+
+    attached = can.VALID_INTERFACES - {"virtual", "udp_multicast", "socketcand"}
+    found = can.detect_available_configs(sorted(attached))
+    return [f"{config['interface']}:{config['channel']}" for config in found]
+
+
+def attached_daq_cards() -> dict[str, Any]:
+    """Return `package` and `runtime`, versions of what drives NI's cards ("" when missing), and `cards`.
+
+    `fault` says what NI's own driver says where it does not answer.
+    """
+    from importlib.metadata import version
+
+    from drivers.base import DriverError
+    from drivers.daq.watchdog import error_text, load_nidaqmx
+
+    found: dict[str, Any] = {"package": "", "runtime": "", "cards": [], "fault": ""}
+    try:
+        nidaqmx = load_nidaqmx()
+        found["package"] = version("nidaqmx")
+        system = nidaqmx.system.System.local()
+        found["runtime"] = ".".join(map(str, system.driver_version))
+        found["cards"] = [f"{card.name} ({card.product_type})" for card in system.devices]
+    except DriverError as error:
+        found["fault"] = str(error)
+    except Exception as error:  # NI's own, of which nothing can be imported where it is missing
+        found["fault"] = error_text(error)
+    return found
+
+
+def _compiled_code() -> dict[str, Any]:
+    """Return the folder in which this installation keeps its machine code, and the functions it has there."""
+    from drivers.base.machine_code import cache_folder, module_digests
+
+    folder = cache_folder()
+    versions = [folder / module / digest for module, digest in module_digests().items()]
+    return {"folder": str(folder), "functions": sum(1 for one in versions for _ in one.rglob("*.nbc"))}
+
+
+_QUESTIONS: dict[str, Callable[[], Any]] = {
+    "realtime": _realtime,
+    "can": _can_channels,
+    "daq": attached_daq_cards,
+    "cache": _compiled_code,
+}
+
+if __name__ == "__main__":
+    print(json.dumps(_QUESTIONS[sys.argv[1]]()))

@@ -1,4 +1,4 @@
-"""`golfbench doctor`, and its checks of hardware: CAN link, clock, interrupt threads, cores.
+"""`golfbench doctor`, and its checks of hardware: CAN link, interrupt threads, cores.
 
 The kernel states its settings in files below /sys and /proc; bit timing and error counters come from `ip`.
 Like `bench.commands.machine.doctor`, nothing here raises or changes the machine.
@@ -42,8 +42,6 @@ MIN_QUEUE = 64
 """Min frames in the link's send queue: several ticks' commands, SYNC and heartbeats."""
 SAMPLE_POINT = (0.75, 0.9)
 """Range of the sample point: CiA 301 recommends 0.875."""
-_STEADY = frozenset({"tsc", "arch_sys_counter", "kvm-clock"})
-"""Clock sources that a read costs no trip to a chip."""
 _WARNING = 96
 """CAN's error counters from which a node is in the state error warning."""
 _RT_PRIORITY = 40 - 3
@@ -55,7 +53,7 @@ Ask = Callable[[str], str]
 def doctor(context: typer.Context, json_: Json = False) -> None:
     """Check this machine: packages, real time, memory, CAN, tools.
 
-    With hardware in the configuration also its CAN link, clock, interrupt thread and core.
+    With hardware in the configuration also its CAN link, interrupt thread and core.
     Exits with 1 if something is missing that the simulation needs.
     """
     planned = all_probes(context.ensure_object(Session).configuration())
@@ -87,10 +85,7 @@ def bench_probes(
     name, loop = configuration.driver.name, configuration.loop
     if name not in ("canopen", "daq"):
         return ()
-    found = [
-        Probe("this bench", "clock source", partial(clock_source, root)),
-        Probe("this bench", "core of the loop", partial(loop_core, root, loop.cpu)),
-    ]
+    found = [Probe("this bench", "core of the loop", partial(loop_core, root, loop.cpu))]
     if name == "canopen" and configuration.canopen.interface == "socketcan":
         link = configuration.canopen.channel
         if not (root / "sys/class/net" / link).exists():
@@ -114,18 +109,6 @@ def _no_link(settings: CanopenSettings) -> ItemResult:
     set_up = f"ip link set {settings.channel} up type can bitrate {settings.bitrate} restart-ms 100"
     advice = f"attach the card, load its driver, then {set_up}; or correct canopen.channel"
     return missing("no such link", advice)
-
-
-def clock_source(root: Path) -> ItemResult:
-    """Look at the clock that each tick reads."""
-    folder = root / "sys/devices/system/clocksource/clocksource0"
-    source, others = small_text(folder / "current_clocksource"), small_text(folder / "available_clocksource")
-    if source in _STEADY:
-        return ok(source)
-    action = (
-        "boot with clocksource=tsc" if "tsc" in others.split() else "see dmesg for why the kernel gave up tsc"
-    )
-    return limited(f"{source or 'unknown'}: each read of the clock takes microseconds", action)
 
 
 def loop_core(root: Path, cpu: int) -> ItemResult:

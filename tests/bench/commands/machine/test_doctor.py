@@ -18,9 +18,9 @@ import pytest
 from packaging.requirements import Requirement
 from rich.console import Console
 
-from bench.commands.machine import doctor, probe
+from bench.commands.machine import doctor
 from bench.commands.machine.doctor import CheckStatus, Finding, ItemResult, Probe
-from drivers.base.machine_code import module_digests
+from drivers.base.machine_code import cache_folder, module_digests
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,7 @@ def test_doctor_compiled_code_reports_cold_warm_and_read_only_cache(
     cold = doctor.compiled_code()
     assert cold.status is CheckStatus.LIMITED
     assert cold.value.startswith("cold")
-    folder = Path(json.loads(doctor._child("cache"))["folder"]) / "sim.kane"
+    folder = cache_folder() / "sim.kane"
     for version in (module_digests()["sim.kane"], "0123456789abcdef"):
         (folder / version / "sim").mkdir(parents=True)
         (folder / version / "sim" / "f.nbc").touch()
@@ -320,8 +320,22 @@ def test_doctor_clock_coarse_resolution_is_limited(monkeypatch: pytest.MonkeyPat
     assert doctor.clock().status is CheckStatus.LIMITED
 
 
+@pytest.mark.parametrize(
+    ("source", "others", "advice"),
+    [("tsc", "tsc", ""), ("hpet", "tsc hpet", "clocksource=tsc"), ("acpi_pm", "acpi_pm", "dmesg")],
+)
+def test_doctor_clock_slow_source_is_limited(
+    files: dict[str, str], source: str, others: str, advice: str
+) -> None:
+    folder = "/sys/devices/system/clocksource/clocksource0"
+    files[f"{folder}/current_clocksource"] = source
+    files[f"{folder}/available_clocksource"] = others
+    found = doctor.clock()
+    assert (found.status is CheckStatus.OK, advice in found.advice) == (not advice, True)
+
+
 def test_wake_up_latencies_are_sorted_and_not_negative() -> None:
-    late = probe.wake_up_latencies(ticks=20, period_ns=1_000_000)
+    late = doctor.wake_up_latencies(ticks=20, period_ns=1_000_000)
     assert len(late) == 20
     assert late == sorted(late)
     assert late[0] >= 0.0
@@ -389,19 +403,19 @@ def test_doctor_daq_cards_report_missing_part_with_advice(
     assert advice in outcome.advice
 
 
-def test_probe_daq_cards_without_nidaqmx_reports_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_attached_daq_cards_without_nidaqmx_reports_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     nidaqmx = pytest.importorskip("nidaqmx")
-    found = probe.daq_cards()
+    found = doctor.attached_daq_cards()
     assert found["package"] == nidaqmx.__version__
     assert found["runtime"] or "NI-DAQmx" in found["fault"]
     monkeypatch.setitem(sys.modules, "nidaqmx", None)  # not installed
-    assert probe.daq_cards() == {
+    assert doctor.attached_daq_cards() == {
         "package": "",
         "runtime": "",
         "cards": [],
-        "fault": probe.daq_cards()["fault"],
+        "fault": doctor.attached_daq_cards()["fault"],
     }
-    assert "golfbench[daq]" in probe.daq_cards()["fault"]
+    assert "golfbench[daq]" in doctor.attached_daq_cards()["fault"]
 
 
 # The command -----------------------------------------------------------------------------------------

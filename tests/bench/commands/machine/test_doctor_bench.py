@@ -15,8 +15,6 @@ from bench.commands.machine.doctor_bench import bench_probes
 from bench.config import Configuration, load_configuration
 
 GOOD_FILES = {
-    "sys/devices/system/clocksource/clocksource0/current_clocksource": "tsc",
-    "sys/devices/system/clocksource/clocksource0/available_clocksource": "tsc hpet acpi_pm",
     "sys/devices/system/cpu/isolated": "1,3-4",
     "sys/devices/system/cpu/nohz_full": "3",
     "sys/class/net/can0/tx_queue_len": "256",
@@ -72,7 +70,6 @@ def _configuration(cpu: int = 3, driver: str = "canopen") -> Configuration:
 def test_bench_probes_good_bench_are_all_ok(look: Look) -> None:
     findings = look()
     assert list(findings) == [
-        "clock source",
         "core of the loop",
         "bit timing",
         "errors",
@@ -86,25 +83,12 @@ def test_bench_probes_good_bench_are_all_ok(look: Look) -> None:
     assert findings["interrupt thread"].value == "irq 35 with priority 90, the loop has 80"
 
 
-CLOCK = "sys/devices/system/clocksource/clocksource0"
 SLOW_THREAD = GOOD_FILES["proc/412/stat"].replace(" 90 1 0", " 50 1 0")
 
 
 @pytest.mark.parametrize(
     ("item", "changes", "value", "advice"),
     [
-        ("clock source", {"files": {f"{CLOCK}/current_clocksource": "hpet"}}, "hpet", "clocksource=tsc"),
-        (
-            "clock source",
-            {
-                "files": {
-                    f"{CLOCK}/current_clocksource": "acpi_pm",
-                    f"{CLOCK}/available_clocksource": "acpi_pm",
-                }
-            },
-            "acpi_pm",
-            "dmesg",
-        ),
         ("core of the loop", {"cpu": -1}, "any", "set loop.cpu = 1"),
         ("core of the loop", {"cpu": 2}, "2, shared", "isolcpus=2 nohz_full=2"),
         ("core of the loop", {"cpu": 4}, "4, shared", "boot with nohz_full=4"),
@@ -174,4 +158,4 @@ def test_bench_probes_missing_link_is_reported_once(tmp_path: Path) -> None:
 def test_bench_probes_without_can_skip_link_items() -> None:
     assert bench_probes(_configuration(driver="sim")) == ()
     daq = [probe.item for probe in bench_probes(_configuration(driver="daq"))]
-    assert daq == ["clock source", "core of the loop"]
+    assert daq == ["core of the loop"]
