@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from threading import Event, Lock, Thread
 from typing import Any
 
-from bench.web.request_filter import Receive, Scope, Send
+from bench.web.page_access import Receive, Scope, Send
 
 MAX_READERS = 32
 """Max number of open pages."""

@@ -27,9 +27,16 @@ from bench.web.campaign_service import CampaignArchive, CampaignService, Running
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
 from bench.web.commissioning_service import CommissioningService, CommissioningStore
 from bench.web.last_swing import SwingReader
-from bench.web.page_access import PageAddress, PageRole, checked_address, page_access
+from bench.web.page_access import (
+    Application,
+    PageAddress,
+    PageRole,
+    RequestFilter,
+    checked_address,
+    http_protocol,
+    page_access,
+)
 from bench.web.page_service import Call, PageService, Pool
-from bench.web.request_filter import Application, RequestFilter, http_protocol
 from bench.web.start_service import PlanCatalogue, StartService
 
 if TYPE_CHECKING:

@@ -365,7 +365,7 @@ def list_campaigns(context: typer.Context, json_: Json = False) -> None:
     Excluded: hit outside the delivery's bounds, or excluded by hand.
     """
     from bench.campaign.run.campaign_control import standing_now
-    from bench.commands.campaign.campaign_screen import listing, listing_record
+    from bench.commands.campaign.campaign_terminal import listing, listing_record
 
     address = context.ensure_object(Session).address()
     found = []

@@ -310,9 +310,9 @@ def _take(
     from bench.campaign.run.progress import CampaignProgress, notifying
     from bench.campaign.run.runner_control import run_campaign, run_start
     from bench.campaign.run.shot_source import Watcher
-    from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar
-    from bench.commands.campaign.campaign_terminal import TerminalOperator, mark_keys
-    from bench.store.records import PromptKind
+from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar
+from bench.commands.campaign.campaign_terminal import ProgressScreen, TerminalOperator, campaign_bar, mark_keys
+from bench.store.records import PromptKind
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
@@ -370,8 +370,7 @@ def watch(
 
     Ctrl-C ends the watching only. On the bench's own computer the key m marks the last shot.
     """
-    from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar
-    from bench.commands.campaign.campaign_terminal import mark_keys
+    from bench.commands.campaign.campaign_terminal import ProgressScreen, campaign_bar, mark_keys
 
     session = context.ensure_object(Session)
     address = session.address()

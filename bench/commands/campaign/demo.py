@@ -35,7 +35,7 @@ from bench.campaign.run.plan_requirements import require_swings
 from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner import RunOutcome
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
-from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar
+from bench.commands.campaign.campaign_terminal import ProgressScreen, campaign_bar
 from bench.commands.campaign.demo_bench import BenchPlan
 from bench.commands.common.output import plain_table
 from bench.config import Configuration, database_url

@@ -19,12 +19,12 @@ from bench.web.page_access import (
     PageAccess,
     PageAddress,
     PageRole,
+    RequestFilter,
     checked_address,
     read_tokens,
 )
 from bench.web.page_server import page_application
 from bench.web.page_service import COMMANDS
-from bench.web.request_filter import RequestFilter
 from tests.bench.certified import Folder
 from tests.bench.fake_bench_service import RunningPlane
 from tests.bench.web.running_page import RunningPage, running_page

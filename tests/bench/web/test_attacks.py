@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from bench.base.lifecycle import State
-from bench.web import request_filter
+from bench.web import page_access
 from bench.web.broadcaster import MAX_READERS
 from tests.bench.fake_bench_service import RunningPlane
 from tests.bench.web.running_page import HURRY, RunningPage
@@ -205,7 +205,7 @@ def test_page_hundred_slow_readers_leave_stop_available(page: RunningPage, runni
 def test_request_filter_unfinished_request_is_cut_off(
     page: RunningPage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(request_filter, "REQUEST_TIME", 0.2)
+    monkeypatch.setattr(page_access, "REQUEST_TIME", 0.2)
     head = "".join(f"{name}: {value}\r\n" for name, value in page.own().items())
     body = f"POST /api/command/arm HTTP/1.1\r\nHost: {page.host}\r\n{head}Content-Length: 100\r\n\r\n{{"
     for text in ("", "GET / HTTP/1.1\r\nHost: ", body):

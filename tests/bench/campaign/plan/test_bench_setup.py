@@ -37,8 +37,7 @@ from bench.campaign.run.plan_requirements import require_swings
 from bench.campaign.run.runner import Runner, RunOutcome
 from bench.campaign.run.runner_control import course_of, new_entry
 from bench.campaign.run.shot_source import Watcher
-from bench.commands.campaign.campaign_screen import CampaignBar
-from bench.commands.campaign.campaign_terminal import TerminalOperator
+from bench.commands.campaign.campaign_terminal import CampaignBar, TerminalOperator
 from bench.config import database_url, load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never

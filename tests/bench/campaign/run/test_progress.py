@@ -15,7 +15,7 @@ from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import PlannedShot, all_trials
 from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner_control import new_entry
-from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar, progress_lines, shot_line
+from bench.commands.campaign.campaign_terminal import ProgressScreen, campaign_bar, progress_lines, shot_line
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignState

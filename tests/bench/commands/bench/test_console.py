@@ -30,8 +30,15 @@ from bench.base.address import BenchAddress, free_port, load_address
 from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import Phase, Request, State
 from bench.commands.bench import console
-from bench.commands.bench.console import CommandCompleter, ConsoleLines, KeptConnection, arguments_of, history
-from bench.commands.bench.console_terminal import CommandTerminal, count_stops
+from bench.commands.bench.console import (
+    CommandCompleter,
+    CommandTerminal,
+    ConsoleLines,
+    KeptConnection,
+    arguments_of,
+    count_stops,
+    history,
+)
 from bench.commands.cli import command_line, main
 from bench.commands.common.command import Session
 from bench.network.client import BenchClient

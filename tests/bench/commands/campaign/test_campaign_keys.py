@@ -24,8 +24,7 @@ from bench.base.errors import ExitCode, Refused
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign_run import _local_store, _marker
-from bench.commands.campaign.campaign_screen import CampaignBar
-from bench.commands.campaign.campaign_terminal import HINT, MarkLine, mark_keys
+from bench.commands.campaign.campaign_terminal import HINT, CampaignBar, MarkLine, mark_keys
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
