@@ -25,11 +25,10 @@ from bench.commissioning.commissioning import (
 )
 from bench.web.answers import PLAIN_NAME, REPORT, Asked, Download, plain_file
 from bench.web.command_line import BackgroundCommand, CommandLine
-from bench.web.start_service import is_toml_to_name
+from bench.web.start_service import listed_file, toml_files
 
 MAX_LISTED = 10
 """Max number of listed commissionings."""
-MAX_ROBOTS = 100
 FILES = {"report": "report.html", "robot": "robot.toml"}
 """Files of a commissioning by their names on the page."""
 
@@ -44,7 +43,7 @@ class CommissioningStore:
         """Return steps, robots and commissionings, the newest first, as the page shows them."""
         return {
             "steps": [{"title": step.title, "bounds": step.bounds_text} for step in ALL_STEPS],
-            "robots": [path.stem for path in self._robot_files()],
+            "robots": list(toml_files(self._robots)),
             "folder": str(self._robots),
             "commissionings": [_described(folder) for folder in self._folders()],
         }
@@ -59,10 +58,8 @@ class CommissioningStore:
         Raises:
             Refused: no such commissioning is listed.
         """
-        for path in self._folders():
-            if path.name == name:
-                return path
-        raise Refused("commissioning", "an unknown name", "one of the listed ones", "Load the page again.")
+        listed = {path.name: path for path in self._folders()}
+        return listed_file("commissioning", listed, name, "Load the page again.")
 
     def robot(self, name: str) -> Path:
         """Return the file of the robot called `name`.
@@ -70,11 +67,8 @@ class CommissioningStore:
         Raises:
             Refused: no such robot is listed.
         """
-        for path in self._robot_files():
-            if path.stem == name:
-                return path
         action = f"Put its configuration into {self._robots}."
-        raise Refused("robot", "an unknown name", "one of the listed ones", action)
+        return listed_file("robot", toml_files(self._robots), name, action)
 
     def file(self, name: str, kind: str) -> Path | None:
         """Return the file `kind` of FILES of commissioning `name`; None if it does not exist."""
@@ -91,13 +85,6 @@ class CommissioningStore:
         except OSError:
             return []
         return found[:MAX_LISTED]
-
-    def _robot_files(self) -> list[Path]:
-        try:
-            found = sorted(self._robots.glob("*.toml"))[:MAX_ROBOTS]
-        except OSError:
-            return []
-        return [path for path in found if is_toml_to_name(path)]
 
 
 def _is_one(path: Path) -> bool:
@@ -166,8 +153,7 @@ class CommissioningService:
         """End the process of a commissioning; the step under way is done again when it is resumed."""
         wanted = asked.text("name", MAX_FOLDER_LENGTH)
         asked.once()
-        listed = self._shelf.view()["commissionings"]
-        process = next((one["process"] for one in listed if one["name"] == wanted), None)
+        process = commissioning_process(self._shelf.folder(wanted))
         if process is None:
             expected = "a running commissioning"
             raise Refused("commissioning", "no process", expected, "Nothing is to be done.")

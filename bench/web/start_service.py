@@ -29,7 +29,7 @@ from bench.config import Configuration, database_url
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
 from bench.swing.library import profile_names
-from bench.web.answers import Asked, InvalidBody, UnknownName, json_answer, number_in, text_in
+from bench.web.answers import Asked, InvalidBody, UnknownName, json_answer, number_in, plain_file, text_in
 from bench.web.campaign_service import STARTED
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
 from bench.web.page_access import PageRole
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-MAX_PLANS = 100
-"""Max number of listed plans of the bench."""
-MAX_PLAN_BYTES = 1 << 20
-"""Max size of a plan's file, bytes."""
+MAX_FILES = 100
+"""Max number of listed plans, or robots, of the bench."""
+MAX_FILE_BYTES = 1 << 20
+"""Max size of such a file, bytes."""
 
 _MAX_ABOUT_LENGTH = 400
 _MAX_NAME_LENGTH = 80
@@ -71,27 +71,35 @@ class PlanCatalogue:
         Raises:
             Refused: no such plan is listed.
         """
-        found = self._files().get(name)
-        if found is None:
-            raise Refused("plan", "an unknown name", "one of the listed plans", f"Put it into {self.folder}.")
-        return found
+        return listed_file("plan", self._files(), name, f"Put it into {self.folder}.")
 
     def _files(self) -> dict[str, Path]:
         shipped = {name: EXAMPLES / f"{name}.toml" for name in campaign_names()}
-        try:
-            own = sorted(self.folder.glob("*.toml"))[:MAX_PLANS]
-        except OSError:
-            own = []
-        return shipped | {path.stem: path for path in own if is_toml_to_name(path)}
+        return shipped | toml_files(self.folder)
 
 
-def is_toml_to_name(path: Path) -> bool:
-    """Return whether `path` is a file itself, no link, of a plan's size, with a name that is safe to show."""
+def listed_file(what: str, files: Mapping[str, Path], name: str, action: str) -> Path:
+    """Return the one of `files` that is called `name`.
+
+    Raises:
+        Refused: there is none.
+    """
+    if name not in files:
+        raise Refused(what, "an unknown name", "one of the listed ones", action)
+    return files[name]
+
+
+def toml_files(folder: Path) -> dict[str, Path]:
+    """Return the TOML files of a plan's size in `folder`, no links, whose names are safe to show, by name."""
     try:
-        plain = path.is_file() and not path.is_symlink() and path.stat().st_size <= MAX_PLAN_BYTES
+        found = [path for path in sorted(folder.glob("*.toml"))[:MAX_FILES] if plain_file(path)]
+        return {
+            path.stem: path
+            for path in found
+            if _NAME.fullmatch(path.stem) and path.stat().st_size <= MAX_FILE_BYTES
+        }
     except OSError:
-        return False
-    return plain and bool(_NAME.fullmatch(path.stem))
+        return {}
 
 
 def _described(name: str, file: Path, known: Mapping[str, Collection[str]]) -> dict[str, Any]:
