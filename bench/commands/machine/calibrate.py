@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import UTC, datetime
-from math import degrees, radians
+from collections.abc import Mapping, Sequence
+from datetime import UTC, date, datetime, timedelta
+from math import degrees, inf, nan, pi, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,9 +25,11 @@ from bench.commands.common.command import (
     user_name,
 )
 from bench.commands.common.output import plain_table
-from bench.commands.machine.calibrate_measured import By, aerodynamics, inputs
+from bench.commands.machine.commission import inputs
+from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
+    from bench.calibration.ball_aerodynamics import BallAerodynamics, FlightUncertainty
     from bench.calibration.calibration import (
         Calibration,
         CalibrationKind,
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
         UnreadableEntry,
     )
     from bench.config import Configuration
+    from sim.ball import Ball
     from sim.plant import Encoders
 
 app = typer.Typer(
@@ -45,6 +48,8 @@ app = typer.Typer(
 )
 
 Three = tuple[float, float, float]
+Whole = tuple[int, int, int]
+_JOINTS = "SHOULDER ARM WRIST"
 
 Days = Annotated[
     int | None,
@@ -56,44 +61,35 @@ Days = Annotated[
         names="--expires-days",
     ),
 ]
+By = Annotated[str, option("Person who measured.", "NAME", shown="user@host")]
 Method = Annotated[str, option("Method and tool of the measurement.", "TEXT")]
 Note = Annotated[str, option("Remark.", "TEXT")]
-
-
-AngleUncertainty = Annotated[
-    float, option("Standard uncertainty of each angle zero.", "DEG", low=0.0, high=5.0)
-]
-ZeroCounts = Annotated[Three | None, option("Counts at joint angle zero.", "SHOULDER ARM WRIST")]
-LockedPose = Annotated[
-    Three | None,
-    option("Angles (deg) at which the robot is locked, at its mechanical reference.", "SHOULDER ARM WRIST"),
-]
-Counts = Annotated[
-    tuple[int, int, int] | None,
-    option("Encoder counts at that pose.", "SHOULDER ARM WRIST", shown="read from the running bench"),
-]
-Signs = Annotated[
-    tuple[int, int, int] | None,
-    option(
-        "Sign of each encoder: -1 if its count falls as the angle rises.",
-        "SHOULDER ARM WRIST",
-        shown="as in force",
-    ),
-]
-Remounted = Annotated[
-    bool, flag("--remounted", "Accept zeros far from those in force: an encoder was mounted again.")
-]
 
 
 @app.command()
 def encoders(
     context: typer.Context,
-    uncertainty_deg: AngleUncertainty,
-    zero_counts: ZeroCounts = None,
-    from_pose: LockedPose = None,
-    counts: Counts = None,
-    sign: Signs = None,
-    remounted: Remounted = False,
+    uncertainty_deg: Annotated[
+        float, option("Standard uncertainty of each angle zero.", "DEG", low=0.0, high=5.0)
+    ],
+    zero_counts: Annotated[Three | None, option("Counts at joint angle zero.", _JOINTS)] = None,
+    from_pose: Annotated[
+        Three | None,
+        option("Angles (deg) at which the robot is locked, at its mechanical reference.", _JOINTS),
+    ] = None,
+    counts: Annotated[
+        Whole | None,
+        option("Encoder counts at that pose.", _JOINTS, shown="read from the running bench"),
+    ] = None,
+    sign: Annotated[
+        Whole | None,
+        option(
+            "Sign of each encoder: -1 if its count falls as the angle rises.", _JOINTS, shown="as in force"
+        ),
+    ] = None,
+    remounted: Annotated[
+        bool, flag("--remounted", "Accept zeros far from those in force: an encoder was mounted again.")
+    ] = False,
     method: Method = "",
     by: By = "",
     expires_days: Days = None,
@@ -204,8 +200,8 @@ def club(
 @app.command()
 def valves(
     context: typer.Context,
-    centre: Annotated[Three, option("Commands (-1 to 1) that centre the spools.", "SHOULDER ARM WRIST")],
-    dead_band: Annotated[Three, option("Overlap to either side of the centre.", "SHOULDER ARM WRIST")],
+    centre: Annotated[Three, option("Commands (-1 to 1) that centre the spools.", _JOINTS)],
+    dead_band: Annotated[Three, option("Overlap to either side of the centre.", _JOINTS)],
     uncertainty: Annotated[float, option("Standard uncertainty of both.", "OPENING")],
     method: Method = "values entered",
     by: By = "",
@@ -221,7 +217,6 @@ def valves(
 
 
 app.command()(inputs)
-app.command()(aerodynamics)
 
 
 @app.command("list")
@@ -327,16 +322,14 @@ def _require_pose(configuration: Configuration, angles: tuple[float, ...]) -> No
             raise BenchError(location, found, expected, "Give the angle of the mechanical reference.")
 
 
-def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) -> None:
+def _require_counts(counts: Whole, counts_per_revolution: int) -> None:
     for i, count in enumerate(counts):
         if not 0 <= count < counts_per_revolution:
             location, expected = f"calibrate encoders: --counts[{i}]", f"0 to {counts_per_revolution - 1}"
             raise BenchError(location, str(count), expected, "Give the count that the encoder shows.")
 
 
-def _require_known_zeros(
-    zeros: Three, sign: tuple[int, int, int], c: Configuration, known: EncoderZeros | Encoders
-) -> None:
+def _require_known_zeros(zeros: Three, sign: Whole, c: Configuration, known: EncoderZeros | Encoders) -> None:
     """Raise BenchError if `zeros` are far from the `known` ones; those of other encoders are unknown."""
     from drivers.base import JOINTS
     from sim.plant import Encoders
@@ -354,7 +347,7 @@ def _require_known_zeros(
             raise BenchError(f"calibrate encoders: {joint}", found, expected, action)
 
 
-def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
+def _live_counts(configuration: Configuration) -> Whole:
     """Return the counts of the running bench; Refused when none runs here or the robot moves."""
     from bench.calibration.calibration import standing_counts
     from bench.records.telemetry.ring import NoRing
@@ -435,3 +428,171 @@ def _mark(entry: Entry, in_force: Calibration, now: datetime) -> Text:
     if in_force.of(entry.kind) != entry:
         return Text("other club" if entry.subject not in {"", in_force.club} else "superseded", "dim")
     return Text("expired", "bold red") if entry.expired(now) else Text("in force", "green")
+
+
+# Drag and lift from measured flights -----------------------------------------------------------------
+
+BallName = Annotated[str, argument("BALL", "Ball model, as plans name it.")]
+FlightTable = Annotated[
+    Path,
+    argument(
+        "FLIGHTS",
+        "CSV, one row per flight, or an export of TrackMan or Foresight: ball_speed_mps (_mph, _kmh), "
+        "launch_angle_deg, spin_rpm, and the measured ones of carry_m (_yd, _ft), apex_m (_yd, _ft), time_s; "
+        "optional direction_deg, spin_axis_deg, air_temperature_k (_c, _f), air_pressure_pa (_hpa), "
+        "relative_humidity, wind_mps, cross_wind_mps.",
+    ),
+]
+Source = Annotated[str, option("Device and place: full-flight monitor, indoor range.", "TEXT")]
+PointTable = Annotated[
+    Path | None,
+    option(
+        "CSV of trajectories: flight, time_s, distance_m, height_m; FLIGHTS then needs a column flight.",
+        "FILE",
+    ),
+]
+_SCATTER = {"speed": 0.3, "angle": 0.2, "spin": 100.0, "carry": 1.0, "apex": 0.5, "time": 0.05, "point": 0.01}
+"""Default standard deviations of a device: m/s, deg, rpm, m, m, s, m."""
+Scatter = Annotated[
+    list[str] | None,
+    option(
+        "SD of the device from flight to flight; repeatable. NAME: speed (m/s), angle (deg), spin (rpm), "
+        "carry, apex (m), time (s), point (m; coordinates of a trajectory).",
+        "NAME=VALUE",
+        shown=" ".join(f"{name}={value:g}" for name, value in _SCATTER.items()),
+    ),
+]
+Uncertainty = Annotated[
+    list[str] | None,
+    option("Standard uncertainty of its calibration, with the same names.", "NAME=VALUE", shown="0"),
+]
+Day = Annotated[str | None, option("Day of the measurement, YYYY-MM-DD.", "DATE", shown="today")]
+_FIRST_DAY = date(2000, 1, 1)
+"""Earliest plausible day of a measurement."""
+Store = Annotated[bool, flag("--store/--no-store", "Store the result, or only print it.")]
+
+
+@app.command()
+def aerodynamics(
+    context: typer.Context,
+    ball: BallName,
+    flights: FlightTable,
+    source: Source,
+    points: PointTable = None,
+    scatter: Scatter = None,
+    uncertainty: Uncertainty = None,
+    measured: Day = None,
+    by: By = "",
+    store: Store = True,
+    json_: Json = False,
+) -> None:
+    """Fit drag and lift of a ball model to measured flights, with standard uncertainties.
+
+    Mass and radius are those of the configuration's ball of this name. Campaigns with carry = "measured" fly
+    every launch with the newest coefficients of its ball. The scatter of the device weights the figures; the
+    uncertainty of its calibration is common to all flights and added.
+    """
+    from bench.calibration.archive import add_aerodynamics
+    from bench.calibration.ball_aerodynamics import AerodynamicsEntry
+    from bench.config import database_url
+    from bench.store.database import open_database
+
+    configuration = context.ensure_object(Session).configuration()
+    bench, model = configuration.bench, _ball_model(ball, configuration.balls)
+    spread = _uncertainty("--scatter", scatter or (), _SCATTER)
+    common = _uncertainty("--uncertainty", uncertainty or (), dict.fromkeys(_SCATTER, 0.0))
+    day = _day(measured)
+    values = _fitted(model, flights, points, spread, common)
+    entry = AerodynamicsEntry(0, day, source, by or user_name(), values)
+    if store:
+        with open_database(database_url(bench.database, bench.data_dir), datetime.now(UTC)) as database:
+            entry = add_aerodynamics(database, bench.id, values, date=day, source=source, by=entry.by)
+    if json_:
+        return show_json(entry.record())
+    typer.echo(f"{values.ball}: {entry.text}{'' if store else '; not stored'}")
+    if values.chi_square > 2.0:
+        typer.echo(
+            f"The flights scatter {values.chi_square**0.5:.1f} times as much as stated: the errors are "
+            "widened by that. Check the table for wrong rows, and the stated scatter."
+        )
+
+
+def _ball_model(name: str, configured: Mapping[str, Ball]) -> Ball:
+    """Return the ball called `name`; warn of a new name, refuse another spelling of a `configured` one."""
+    from sim.ball import Ball
+
+    known = list(configured)
+    meant = [one for one in known if one != name and one.casefold() == name.strip().casefold()]
+    if not name.strip() or name != name.strip() or (meant and name not in known):
+        action = f"Did you mean {meant[0]}?" if meant else "Name the ball as plans and the configuration do."
+        expected = f"a name such as {', '.join(known)}"
+        raise BenchError("calibrate aerodynamics: BALL", repr(name), expected, action)
+    if name not in known:
+        typer.echo(f"warning: the configuration has no ball {name}; plans must name it like this.", err=True)
+    return configured.get(name) or Ball(name)
+
+
+def _fitted(
+    ball: Ball,
+    flights: Path,
+    points: Path | None,
+    scatter: FlightUncertainty,
+    calibration: FlightUncertainty,
+) -> BallAerodynamics:
+    """Return the fit to the flights in the files; BenchError when they do not determine it."""
+    from bench.calibration.ball_aerodynamics import fit_aerodynamics
+    from bench.calibration.flight_table import read_flights
+
+    table = read_flights(flights, points)
+    for note in table.notes:
+        typer.echo(f"Not used, {flights}: {note}", err=True)
+    try:
+        return fit_aerodynamics(
+            ball.name, table.flights, scatter, calibration, mass=ball.mass, radius=ball.radius
+        )
+    except ValueError as error:
+        raise BenchError(
+            str(flights),
+            str(error),
+            "flights that determine drag and lift",
+            "Measure more of them; check the table's notes and the stated scatter.",
+        ) from None
+
+
+def _uncertainty(option: str, given: Sequence[str], default: Mapping[str, float]) -> FlightUncertainty:
+    """Return the uncertainties by the texts NAME=VALUE that are `given`, else by `default`."""
+    from bench.calibration.ball_aerodynamics import FlightUncertainty
+
+    values = dict(default)
+    for text in given:
+        name, _, number = text.partition("=")
+        try:
+            value = read_number(number)
+        except ValueError:
+            value = nan
+        if name not in default or not 0.0 <= value < inf:
+            expected = f"NAME=VALUE of at least 0, with one of {', '.join(default)}"
+            raise BenchError(f"calibrate aerodynamics: {option}", repr(text), expected, f"Correct {option}.")
+        values[name] = value
+    angle, spin = radians(values.pop("angle")), values.pop("spin") * pi / 30
+    return FlightUncertainty(launch_angle=angle, spin=spin, **values)
+
+
+def _day(text: str | None) -> datetime:
+    """Return noon (UTC) of the day in `text`, now at the latest; now without one."""
+    now = datetime.now(UTC)
+    if text is None:
+        return now
+    try:
+        day = datetime.strptime(text, "%Y-%m-%d").replace(hour=12, tzinfo=UTC)
+    except ValueError:
+        day = None
+    tomorrow = now.date() + timedelta(days=1)  # it may be tomorrow east of here
+    if day is None or not _FIRST_DAY <= day.date() <= tomorrow:
+        raise BenchError(
+            "calibrate aerodynamics: --measured",
+            repr(text),
+            f"a day from {_FIRST_DAY} to today, {now:%Y-%m-%d}",
+            "Give the day of the measurement as --measured YYYY-MM-DD.",
+        )
+    return min(day, now)

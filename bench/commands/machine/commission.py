@@ -1,7 +1,8 @@
-"""`golfbench commission`: from an unknown robot to its first learned swing, step by step."""
+"""`golfbench commission`: from an unknown robot to its first learned swing; `golfbench calibrate inputs`."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -15,9 +16,10 @@ from rich.progress import Progress
 from bench.base.errors import BenchError
 from bench.commands.common.command import Session, at_terminal, flag, option, show_json, user_name
 from bench.commands.common.output import paused, plain_table, progress_bar
+from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
-    from bench.calibration.calibration import SeenInputs
+    from bench.calibration.calibration import Entry, SeenInputs
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.machine.driver_machine import SimulatedMachine
     from bench.commissioning.machine.inputs import OperatorIO
@@ -175,7 +177,6 @@ def _see_inputs(
     progress: Callable[[str], None],
 ) -> None:
     """Do the step before all others; on hardware its result is a calibration."""
-    from bench.commands.machine.calibrate_measured import inputs_in_force, keep_inputs
     from bench.commissioning.commissioning import see_inputs
 
     in_force = None if state.simulated else inputs_in_force(configuration, datetime.now(UTC))
@@ -222,6 +223,49 @@ def _write_robot(
         stream.write(text.encode())
 
 
+def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
+    """Return the name of the check in force, empty if it is due; None with a simulated robot."""
+    from bench.calibration.archive import calibration_of
+    from bench.calibration.calibration import CalibrationKind, SeenInputs, is_rewired
+
+    if configuration.driver.name == "sim":
+        return None
+    entry = calibration_of(configuration, now).of(CalibrationKind.INPUTS)
+    if entry is None or entry.expired(now) or not isinstance(entry.values, SeenInputs):
+        return ""
+    wrong = entry.values.findings or is_rewired(entry.values, configuration)
+    return "" if wrong else entry.name
+
+
+def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entry:
+    """Store a check of the inputs.
+
+    Raises:
+        BenchError: it cannot be stored.
+    """
+    from bench.calibration.archive import keep_calibration
+
+    return keep_calibration(configuration, seen, datetime.now(UTC), by=by, method="each acted on by hand")
+
+
+def gauge_from_person() -> float:
+    """Prompt for the reading of the gauge behind the regulator; Pa above the atmosphere."""
+    while True:
+        text = typer.prompt("bar on the gauge behind the regulator", err=True)
+        try:
+            bar = read_number(text.replace(",", "."))
+        except ValueError:
+            bar = math.nan
+        if 0.0 <= bar <= 20.0:
+            return 1e5 * bar
+        typer.echo(f"{text!r}: a number from 0 to 20 is wanted, such as: 2.9", err=True)
+
+
+def ask_person(text: str) -> None:
+    """Say what to do, and wait until it is done."""
+    typer.prompt(f"{text}, then press Enter", default="", show_default=False, err=True)
+
+
 class _Machine(NamedTuple):
     """A robot in the forms that the steps take."""
 
@@ -233,20 +277,27 @@ class _Machine(NamedTuple):
 
 
 @contextmanager
-def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_Machine]:
+def _simulated(
+    configuration: Configuration, truth: Configuration, *, inputs_only: bool = False
+) -> Iterator[_Machine]:
     """Yield the robot of `truth`, simulated in lock-step."""
     from bench.commissioning.machine.driver_machine import SimulatedMachine
     from bench.commissioning.machine.step import SimulatedRobot
 
     faults = tuple(truth.faults.values())
-    with SimulatedMachine(truth.plant, configuration.plant, faults) as machine:
+    with SimulatedMachine(truth.plant, configuration.plant, faults, inputs_only=inputs_only) as machine:
         swung = SimulatedRobot(truth.plant, faults)
         yield _Machine(machine, swung, machine.hands, lambda: (_loads(machine),))
 
 
 @contextmanager
 def _live(
-    configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
+    configuration: Configuration,
+    truth: Configuration,
+    regulator: str | None,
+    bar: Progress,
+    *,
+    inputs_only: bool = False,
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
     from bench.commissioning.machine.inputs import in_simulation
@@ -266,7 +317,7 @@ def _live(
             moving = live_robot(c, owner, hands, truth)
         else:
             hands = _hands_of_person(c, regulator, bar, say)
-            moving = live_robot(c, owner, hands)
+            moving = live_robot(c, owner, hands, inputs_only=inputs_only)
         with moving as robot:
             yield _Machine(robot, robot, hands, tuple)
 
@@ -275,7 +326,6 @@ def _hands_of_person(
     configuration: Configuration, regulator: str | None, bar: Progress, say: Callable[[str], None]
 ) -> OperatorIO:
     """Return the hands of the person at the terminal, `regulator` being the program that turns it, if any."""
-    from bench.commands.machine.calibrate_measured import ask_person, gauge_from_person, saying
     from bench.commands.swing.learn import mark_from_person
     from bench.commissioning.machine.inputs import OperatorIO, by_person, by_program, turned_once
 
@@ -299,7 +349,7 @@ def _hands_of_person(
     supply = configuration.plant.supply
     turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else by_program(regulator)
     person, gauge = (ask_mark, ask_gauge) if at_terminal() else (None, None)
-    return OperatorIO(turned_once(turn), say, person, act=saying(say), gauge=gauge)
+    return OperatorIO(turned_once(turn), say, person, act=lambda act: say(f"{act.text}."), gauge=gauge)
 
 
 def _mark_in(contacts: ContactMonitor, truth: PlantParameters) -> tuple[float, float] | None:
@@ -374,3 +424,36 @@ def _show(state: Commissioning) -> None:
         highlight=False,
         markup=False,
     )
+
+
+# The inputs alone ------------------------------------------------------------------------------------
+
+
+def inputs(
+    context: typer.Context,
+    sim: Annotated[bool, flag("--sim", "Simulate robot and hands in lock-step; nothing is stored.")] = False,
+    by: Annotated[str, option("Person who measured.", "NAME", shown="user@host")] = "",
+) -> None:
+    """Check each interlock, button and switch, and compare the supply's sensor with its gauge.
+
+    Takes the place of golfbench run for about five minutes, and says what to do by hand. On a machine it is
+    due each day: ARM is refused without it, and after one that found something wrong.
+    """
+    from bench.commissioning.steps.inputs_check import check_inputs, raise_findings
+
+    c = context.ensure_object(Session).configuration()
+    simulated = sim or c.driver.name == "sim"
+    if not simulated and not at_terminal():
+        action = "Run it in a terminal next to the machine."
+        raise BenchError("calibrate inputs", "no terminal", "a person who acts and reads", action)
+    with (
+        progress_bar() as bar,
+        _simulated(c, c, inputs_only=True) if simulated else _live(c, c, None, bar, inputs_only=True) as one,
+    ):
+        seen, findings = check_inputs(one.measured, one.hands, c, lambda what: typer.echo(what, err=True))
+    if not simulated:
+        entry = keep_inputs(c, seen, by or user_name())
+        typer.echo(f"{entry.name} of bench {entry.bench}; expires {entry.expires:%Y-%m-%d %H:%M} UTC")
+    raise_findings(findings)
+    typer.echo(f"{len(seen.seen)} inputs seen to change: {', '.join(seen.seen)}.")
+    typer.echo(f"Supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge.")

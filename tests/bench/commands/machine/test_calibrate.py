@@ -410,8 +410,6 @@ def test_calibrate_aerodynamics_fits_stores_and_lists_drag(golfbench: Run, tmp_p
     for day in ("tomorrow", "2999-01-01", "1900-01-01"):
         code, _, errors = golfbench(*command, "--measured", day)
         assert (code, "--measured" in errors) == (2, True)
-    code, _, errors = golfbench(*command, "--mass-g", "0.04593")
-    assert (code, "--mass-g" in errors, "flights.csv" in errors) == (2, True, False)
     wider = golfbench(*command, "--no-store", "--scatter", "carry=3", "--uncertainty", "carry=2")[1]
     assert wider != golfbench(*command, "--no-store")[1]
     for wrong in ("carry", "carry=-1", "carry=nan", "length=1"):
