@@ -270,25 +270,21 @@ class NoPlant(BenchError):
     exit_code = ExitCode.DEVICE
 
 
-Seed = Annotated[int, option("Seed of noise and faults.", low=0)]
-Drop = Annotated[list[int] | None, option("Drop the message of the N-th ball; repeatable.", "N", low=1)]
-Misread = Annotated[float, option("Fraction of balls with one wrong value.", low=0.0, high=1.0)]
-Double = Annotated[float, option("Fraction of balls measured and sent twice.", low=0.0, high=1.0)]
-Club = Annotated[bool, flag("--club", "Also send club speed and attack angle.")]
-Folder = Annotated[
-    Path | None,
-    option("Folder of the plant's shared records (golfbench nodes --folder).", "DIR", shown="the bench's"),
-]
-
-
 def launch_monitor(
     context: typer.Context,
-    seed: Seed = 1,
-    drop: Drop = None,
-    misread: Misread = 0.0,
-    double: Double = 0.0,
-    club: Club = False,
-    folder: Folder = None,
+    seed: Annotated[int, option("Seed of noise and faults.", low=0)] = 1,
+    drop: Annotated[
+        list[int] | None, option("Drop the message of the N-th ball; repeatable.", "N", low=1)
+    ] = None,
+    misread: Annotated[float, option("Fraction of balls with one wrong value.", low=0.0, high=1.0)] = 0.0,
+    double: Annotated[float, option("Fraction of balls measured and sent twice.", low=0.0, high=1.0)] = 0.0,
+    club: Annotated[bool, flag("--club", "Also send club speed and attack angle.")] = False,
+    folder: Annotated[
+        Path | None,
+        option(
+            "Folder of the plant's shared records (golfbench nodes --folder).", "DIR", shown="the bench's"
+        ),
+    ] = None,
 ) -> None:
     """Simulate a launch monitor for a simulated bench until Ctrl-C or SIGTERM.
 

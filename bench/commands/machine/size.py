@@ -29,35 +29,31 @@ if TYPE_CHECKING:
 _PIPED_WIDTH = 190
 """Columns of the table in a file or pipe."""
 
-Output = Annotated[Path | None, option("Folder of results.", "DIR", shown="DATA_DIR/sizing")]
-Speed = Annotated[float, option("Head speed at the ball.", "M_PER_S", low=5.0, high=80.0)]
-Attack = Annotated[float, option("Attack angle, + up.", "DEG", low=-8.0, high=8.0)]
-PartsFile = Annotated[Path | None, option("Catalogue of parts, TOML.", "FILE", shown="golfbench's own")]
-Grid = Annotated[
-    list[str] | None,
-    option(
-        "Value of the grid in place of its defaults; repeatable. KEY: vane, cylinder, valve, absorbers "
-        "(ARM,WRIST), pressure_bar (absolute), lever_mm (of the wrist), lever_angle (its mounting, deg), "
-        'frame, hose, vent (or "none").',
-        "KEY=VALUE",
-    ),
-]
-Swings = Annotated[int, option("Candidates whose whole swing is designed at the demanded speed.", low=0)]
-FaultSpacing = Annotated[
-    int, option("Ticks between tried faults; 0: none.", "TICKS", low=0, names="--faults")
-]
-
 
 def size(
     context: typer.Context,
-    output: Output = None,
-    speed: Speed = 58.1,
-    attack: Attack = 0.0,
+    output: Annotated[Path | None, option("Folder of results.", "DIR", shown="DATA_DIR/sizing")] = None,
+    speed: Annotated[float, option("Head speed at the ball.", "M_PER_S", low=5.0, high=80.0)] = 58.1,
+    attack: Annotated[float, option("Attack angle, + up.", "DEG", low=-8.0, high=8.0)] = 0.0,
     club: ClubName = None,
-    catalogue: PartsFile = None,
-    grid: Grid = None,
-    swings: Swings = 1,
-    faults: FaultSpacing = 0,
+    catalogue: Annotated[
+        Path | None, option("Catalogue of parts, TOML.", "FILE", shown="golfbench's own")
+    ] = None,
+    grid: Annotated[
+        list[str] | None,
+        option(
+            "Value of the grid in place of its defaults; repeatable. KEY: vane, cylinder, valve, absorbers "
+            "(ARM,WRIST), pressure_bar (absolute), lever_mm (of the wrist), lever_angle (its mounting, deg), "
+            'frame, hose, vent (or "none").',
+            "KEY=VALUE",
+        ),
+    ] = None,
+    swings: Annotated[
+        int, option("Candidates whose whole swing is designed at the demanded speed.", low=0)
+    ] = 1,
+    faults: Annotated[
+        int, option("Ticks between tried faults; 0: none.", "TICKS", low=0, names="--faults")
+    ] = 0,
     processes: Processes = 0,
     cluster: ClusterAddress = "",
 ) -> None:

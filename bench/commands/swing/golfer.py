@@ -33,20 +33,6 @@ PIPED_WIDTH = 160
 _JOINTS = ("shoulders θ1", "lead arm θ2", "wrist θ3")
 
 
-Recording = Annotated[Path, argument("FILE", "Recording: .c3d, .trc, .csv or .bvh.")]
-Markers = Annotated[Path | None, option("TOML from roles to markers.", "MAP", shown="built-in maps")]
-Name = Annotated[str | None, option("Name of the result.", "NAME", shown="the file's")]
-Lead = Annotated[str | None, option("Lead side, to be verified.", "left|right", shown="found")]
-Up = Annotated[str | None, option("Up axis, -z for z down.", "x|y|z", shown="found")]
-Events = Annotated[str | None, option("Events (s) in the file's time.", "top=S,impact=S", shown="found")]
-Output = Annotated[Path, option("Folder of the result.", "DIR")]
-
-
-Swings = Annotated[
-    list[str] | None, argument("GOLFER SWING...", "Reference and swings.", shown="all built-in golfers")
-]
-
-
 @app.callback()
 def golfer() -> None:
     """Import measured swings of golfers, and compare swings with them."""
@@ -55,13 +41,17 @@ def golfer() -> None:
 @app.command("import")
 def import_(
     context: typer.Context,
-    file: Recording,
-    markers: Markers = None,
-    name: Name = None,
-    lead: Lead = None,
-    up: Up = None,
-    events: Events = None,
-    output: Output = Path(),
+    file: Annotated[Path, argument("FILE", "Recording: .c3d, .trc, .csv or .bvh.")],
+    markers: Annotated[
+        Path | None, option("TOML from roles to markers.", "MAP", shown="built-in maps")
+    ] = None,
+    name: Annotated[str | None, option("Name of the result.", "NAME", shown="the file's")] = None,
+    lead: Annotated[str | None, option("Lead side, to be verified.", "left|right", shown="found")] = None,
+    up: Annotated[str | None, option("Up axis, -z for z down.", "x|y|z", shown="found")] = None,
+    events: Annotated[
+        str | None, option("Events (s) in the file's time.", "top=S,impact=S", shown="found")
+    ] = None,
+    output: Annotated[Path, option("Folder of the result.", "DIR")] = Path(),
     plot: Plot = None,
     json_: Json = False,
 ) -> None:
@@ -110,7 +100,14 @@ def _beyond_record(excess: Sequence[float]) -> dict[str, float | None]:
 
 
 @app.command()
-def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, json_: Json = False) -> None:
+def compare(
+    context: typer.Context,
+    swings: Annotated[
+        list[str] | None, argument("GOLFER SWING...", "Reference and swings.", shown="all built-in golfers")
+    ] = None,
+    plot: Plot = None,
+    json_: Json = False,
+) -> None:
     """Compare swings with the first one, which is a golfer's: deviation of each joint and of the head.
 
     Swings are NAME.golfer.toml, model:NAME of a built-in golfer, or profiles by name or path. Without swings
