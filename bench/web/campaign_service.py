@@ -321,11 +321,7 @@ class CampaignService:
             return {"note": f"{campaign} {ask(store, data_dir, campaign, REQUESTS[name], by)}."}
 
     def _answer(self, campaign: str, prompt: int, by: str, balls: int | None) -> str:
-        """Confirm that prompt number `prompt` is done, by `by` with so many loaded `balls`; return its text.
-
-        Raises:
-            BenchError: this prompt does not wait, or the number of balls is not the requested one.
-        """
+        """Confirm that prompt number `prompt` is done, with so many loaded `balls`; return its text."""
         with self._archive.store() as store:
             waiting = _open_prompt(store.prompts(store.entry(campaign).id))
             if waiting is None or waiting.number != prompt:

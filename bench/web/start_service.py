@@ -130,11 +130,7 @@ def _lacking(plan: Mapping[str, Any], section: str, known: Collection[str]) -> l
 
 
 def _chosen(body: Mapping[str, Any], key: str) -> list[str]:
-    """Return the options `key` of `golfbench campaign new` for the names in `body`.
-
-    Raises:
-        InvalidBody: they are not a list of names.
-    """
+    """Return the options `key` of `golfbench campaign new` for the names in `body`."""
     names = body.get(f"{key}s", [])
     if not isinstance(names, list) or len(names) > MAX_NAMES:
         raise InvalidBody(f"{key}s: at most {MAX_NAMES} names")

@@ -231,11 +231,7 @@ def _scan_lines(node: ScannedNode) -> list[str]:
 
 
 def _run_nodes(plan: NodesPlan) -> None:
-    """Run the simulated nodes of `plan` until SIGTERM or Ctrl-C.
-
-    Raises:
-        NoBus: the bus or the plant's files cannot be had.
-    """
+    """Run the simulated nodes of `plan` until SIGTERM or Ctrl-C."""
     import can
 
     from drivers.base.shared_memory import SharedMemoryError
@@ -307,11 +303,7 @@ def launch_monitor(
 def _run_monitor(
     parameters: MonitorParameters, c: Configuration, folder: Path, address: tuple[str, int]
 ) -> None:
-    """Simulate the launch monitor of the plant in `folder` until SIGTERM or Ctrl-C.
-
-    Raises:
-        NoPlant: the plant there is of other code.
-    """
+    """Simulate the launch monitor of the plant in `folder` until SIGTERM or Ctrl-C."""
     from drivers.base import Launch
     from drivers.base.shared_memory import SharedMemoryError
     from sim.exchange import ContactMonitor, warm_up

@@ -181,11 +181,7 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
 
 
 def _writable(path: Path) -> Path:
-    """Return `path` after checking that it can be written: Rerun does not report it.
-
-    Raises:
-        NotStored: it cannot.
-    """
+    """Return `path` after checking that it can be written: Rerun does not report it."""
     from bench.base.atomic_file import NotStored
 
     try:

@@ -78,11 +78,7 @@ def new(
 
 
 def _answered(options: Mapping[str, Any], configuration: Configuration) -> dict[str, Any]:
-    """Return `options`, the missing ones by answers at a terminal.
-
-    Raises:
-        BenchError: options are missing, and no terminal can be asked.
-    """
+    """Return `options`, the missing ones by answers at a terminal."""
     given = dict(options)
     missing = [name for name, value in given.items() if value in (None, []) and name != "swing"]
     if missing and not at_terminal():
@@ -104,11 +100,7 @@ def _answered(options: Mapping[str, Any], configuration: Configuration) -> dict[
 
 
 def _plan_name(file: Path) -> str:
-    """Return the campaign's name by its `file`.
-
-    Raises:
-        BenchError: the file exists, or its name makes no campaign's name.
-    """
+    """Return the campaign's name by its `file`."""
     from bench.campaign.plan.plan_file import CAMPAIGN_NAME
 
     if file.suffix != ".toml" or not CAMPAIGN_NAME.fullmatch(file.stem):
@@ -146,9 +138,6 @@ def _write(
     """Write the plan of `sections`; without `blocks` as many as find its difference with its chance.
 
     A club that the swing was not designed for gets its own from golfbench's profiles, where there is one.
-
-    Raises:
-        ExceptionGroup: BenchErrors, one for each mistake in it.
     """
     from bench.campaign.plan.plan_file import load_plan
     from bench.campaign.report.preview import outlook

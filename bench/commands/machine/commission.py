@@ -98,11 +98,7 @@ def commission(
 def _require_possible(
     configuration: Configuration, robot: Path | None, regulator: str | None, *, simulated: bool
 ) -> None:
-    """Refuse encoders that are not absolute, --robot without a simulated robot, and --regulator with one.
-
-    Raises:
-        BenchError: the refused key or option.
-    """
+    """Refuse encoders that are not absolute, --robot without a simulated robot, and --regulator with one."""
     driver = configuration.driver.name
     if configuration.homing.method != "absolute" or configuration.plant.encoders.incremental:
         action = "Measure by hand and enter the values with golfbench calibrate."
@@ -204,11 +200,7 @@ def _write_robot(
     envelope: EnvelopeSettings,
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
-    """Write robot.toml, with the limits of `following` errors and the learned swing once they are known.
-
-    Raises:
-        Refused: it was edited.
-    """
+    """Write robot.toml, with the limits of `following` errors and the learned swing once they are known."""
     from bench.base.atomic_file import atomic_file
     from bench.commissioning.commissioning import require_unedited, robot_file
     from bench.commissioning.machine.step import LEARNED_FILE

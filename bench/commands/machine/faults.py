@@ -224,11 +224,7 @@ def hazard_file_of(
 
 
 def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str:
-    """Return the `document` of the summary in the file `matrix`.
-
-    Raises:
-        BenchError: the file is no matrix.
-    """
+    """Return the `document` of the summary in the file `matrix`."""
     try:
         return document(json.loads(matrix.read_text(encoding="utf-8")))
     except (ValueError, KeyError, TypeError):

@@ -110,11 +110,7 @@ _GRID: Mapping[str, tuple[str, Callable[[str], Any]]] = {
 
 
 def _grid(given: Sequence[str]) -> SizingGrid:
-    """Return the grid with the values `given` as KEY=VALUE; its defaults replace omitted keys.
-
-    Raises:
-        BenchError: a key is unknown, or a value cannot be read.
-    """
+    """Return the grid with the values `given` as KEY=VALUE; its defaults replace omitted keys."""
     from bench.design.sizing.search import SizingGrid
 
     values: dict[str, list[Any]] = {}
