@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -21,7 +21,6 @@ from drivers.base.ranges import read_number
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.golfer.comparison import MotionDeviation, SwingMotion
-    from bench.golfer.golfer_file import ImportOptions
     from bench.golfer.roles import Roles
     from sim.plant import PlantParameters
 
@@ -46,8 +45,12 @@ def import_(
         Path | None, option("TOML from roles to markers.", "MAP", shown="built-in maps")
     ] = None,
     name: Annotated[str | None, option("Name of the result.", "NAME", shown="the file's")] = None,
-    lead: Annotated[str | None, option("Lead side, to be verified.", "left|right", shown="found")] = None,
-    up: Annotated[str | None, option("Up axis, -z for z down.", "x|y|z", shown="found")] = None,
+    lead: Annotated[
+        Literal["left", "right"] | None, option("Lead side, to be verified.", shown="found")
+    ] = None,
+    up: Annotated[
+        Literal["x", "y", "z", "-x", "-y", "-z"] | None, option("Up axis, -z for z down.", shown="found")
+    ] = None,
     events: Annotated[
         str | None, option("Events (s) in the file's time.", "top=S,impact=S", shown="found")
     ] = None,
@@ -61,12 +64,13 @@ def import_(
     GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.
     """
     from bench.golfer.comparison import beyond_ranges
-    from bench.golfer.golfer_file import save_golfer, summary
+    from bench.golfer.golfer_file import ImportOptions, save_golfer, summary
     from bench.golfer.measuring import measure
     from bench.golfer.recording import read_capture
     from bench.golfer.roles import find_roles
 
-    options = _import_options(lead, up, events)
+    known = _events(events)
+    options = ImportOptions(lead or "", up or "", known.get("top"), known.get("impact"))
     require_picture(plot)
     title = file.stem if name is None else name
     _require_destination(title, output)
@@ -204,24 +208,6 @@ def _require_destination(name: str, folder: Path) -> None:
         raise BenchError("--name", name[:60], "letters, digits, blanks, dots, dashes", action)
     if not folder.is_dir():
         raise BenchError("--output", str(folder), "a folder that exists", "Make the folder, or name another.")
-
-
-def _import_options(lead: str | None, up: str | None, events: str | None) -> ImportOptions:
-    """Return the checked options of an import."""
-    from bench.golfer.golfer_file import ImportOptions
-
-    lead = _choice("--lead", lead, ("left", "right"))
-    up = _choice("--up", up, ("x", "y", "z", "-x", "-y", "-z"))
-    known = _events(events)
-    return ImportOptions(lead, up, known.get("top"), known.get("impact"))
-
-
-def _choice(option: str, given: str | None, choices: tuple[str, ...]) -> str:
-    if given is None:
-        return ""
-    if given.lower() not in choices:
-        raise BenchError(option, given[:40], f"one of {', '.join(choices)}", f"Give {option} one of them.")
-    return given.lower()
 
 
 def _events(text: str | None) -> dict[str, float]:
