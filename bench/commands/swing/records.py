@@ -104,23 +104,13 @@ def planned_exports(
 
 def _writer(format_: Format) -> Callable[[Path, SwingRecord], list[Path]]:
     """Return what writes `format_`; only its own library is imported."""
-    match format_:
-        case Format.CSV:
-            from bench.viewer.export_files import write_csv
+    if format_ is Format.RRD:
+        from bench.viewer.recording import write_rrd
 
-            return write_csv
-        case Format.RRD:
-            from bench.viewer.recording import write_rrd
+        return write_rrd
+    from bench.viewer import export_files as to
 
-            return write_rrd
-        case Format.MCAP:
-            from bench.viewer.export_files import write_mcap
-
-            return write_mcap
-        case Format.MAT:
-            from bench.viewer.export_files import write_mat
-
-            return write_mat
+    return {Format.CSV: to.write_csv, Format.MCAP: to.write_mcap, Format.MAT: to.write_mat}[format_]
 
 
 # Compare ---------------------------------------------------------------------------------------------
