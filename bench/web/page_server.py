@@ -21,11 +21,9 @@ from bench.records.shot.recorded_shot import FlightConditions
 from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.ownership import bench_folder
 from bench.web.answers import Downloads, InvalidBody, UnknownName, json_answer
-from bench.web.bench_link import BenchLink
-from bench.web.broadcaster import PageBroadcaster, TopicPoller
+from bench.web.bench_link import BenchLink, PageBroadcaster, TopicPoller
 from bench.web.campaign_service import CampaignArchive, CampaignService, RunningCampaigns
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
-from bench.web.commissioning_service import CommissioningService, CommissioningStore
 from bench.web.last_swing import SwingReader
 from bench.web.page_access import (
     Application,
@@ -37,7 +35,7 @@ from bench.web.page_access import (
     page_access,
 )
 from bench.web.page_service import Call, PageService, Pool
-from bench.web.start_service import PlanCatalogue, StartService
+from bench.web.start_service import CommissioningService, CommissioningStore, PlanCatalogue, StartService
 
 if TYPE_CHECKING:
     from starlette.requests import Request

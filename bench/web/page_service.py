@@ -33,8 +33,7 @@ from bench.web.answers import (
     static_files,
     text_in,
 )
-from bench.web.bench_link import BenchLink
-from bench.web.broadcaster import EventStream, PageBroadcaster
+from bench.web.bench_link import BenchLink, EventStream, PageBroadcaster
 from bench.web.page_access import SESSION, PageAccess, PageRole
 
 if TYPE_CHECKING:

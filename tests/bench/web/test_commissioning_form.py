@@ -17,12 +17,10 @@ from typing import Any
 
 import pytest
 
-from bench.base.address import free_port
 from bench.base.errors import Refused
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, FaultRecord, folder_lock
 from bench.config import Configuration
-from bench.web.commissioning_service import CommissioningStore
-from bench.web.page_access import PageAddress
+from bench.web.start_service import CommissioningStore
 from tests.bench.web.noting_program import NotingProgram
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
 
@@ -227,26 +225,6 @@ def test_commissioning_page_invalid_request_starts_nothing(
         status, answer = asked(page, path, **content)
         assert status in (400, 409)
         assert SCRIPT not in json.dumps(answer)
-    assert program.asked == []
-
-
-def test_commissioning_page_requires_operator_role(
-    configuration: Configuration, program: NotingProgram, tmp_path: Path
-) -> None:
-    stored(configuration.bench.data_dir, "first-day")
-    tokens = tmp_path / "tokens"
-    tokens.write_text(f"viewer {'v' * 24}\n")
-    tokens.chmod(0o600)
-    address = PageAddress(port=free_port(), tokens=tokens)
-    with running_page(configuration, address, program.command) as page:
-        report = "/commissioning/first-day/report"
-        assert page.ask("GET", report).status == 401
-        cookie = page.post("/api/sign-in", {"token": "v" * 24}).headers["set-cookie"].partition(";")[0]
-        assert page.ask("GET", report, None, {"cookie": cookie}).status == 200
-        content = {"number": "number-1", "robot": "", "resume": "", "name": "first-day"}
-        for path in ("check", "start", "stop"):
-            assert page.post(f"/api/commissioning/{path}", content).status == 401
-            assert page.post(f"/api/commissioning/{path}", content, cookie=cookie).status == 403
     assert program.asked == []
 
 

@@ -19,14 +19,12 @@ from typing import Any
 
 import pytest
 
-from bench.base.address import free_port
 from bench.base.errors import BenchError, Refused
 from bench.commands.cli import command_line as all_commands
 from bench.config import Configuration
 from bench.web import command_line
 from bench.web.answers import InvalidBody
 from bench.web.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
-from bench.web.page_access import PageAddress
 from bench.web.page_server import run_outcome
 from bench.web.start_service import PlanCatalogue, form_arguments
 from tests.bench.fake_bench_service import FakeDesk, running_plane
@@ -371,45 +369,3 @@ def test_viewer_process_without_url_is_ended(program: NotingProgram, monkeypatch
         viewer.url()
     assert viewer._process is None
     viewer.close()
-
-
-# Roles -----------------------------------------------------------------------------------------------
-
-CHANGING = (
-    "/api/plan/two-balls/check",
-    "/api/plan/two-balls/start",
-    "/api/new-plan",
-    "/api/wear",
-    "/api/campaign/x-1/resume",
-    "/api/campaign/x-1/report",
-    "/api/values/ball",
-    "/api/viewer/close",
-)
-
-
-def test_page_programs_require_operator_role(
-    configuration: Configuration, program: NotingProgram, tmp_path: Path
-) -> None:
-    tokens = tmp_path / "tokens"
-    tokens.write_text(f"viewer {'v' * 24}\n")
-    tokens.chmod(0o600)
-    address = PageAddress(port=free_port(), tokens=tokens)
-    with running_page(configuration, address, program.command) as page:
-        cookie = page.post("/api/sign-in", {"token": "v" * 24}).headers["set-cookie"].partition(";")[0]
-        body = {
-            "number": "number-1",
-            "seen": time.monotonic(),
-            "by": "Eve",
-            "digest": "0" * 16,
-            "units": "si",
-        }
-        for path in CHANGING:
-            assert page.post(path, body).status == 401, path
-            assert page.post(path, body, cookie=cookie).status == 403, path
-        for path in ("/api/plans", "/api/values"):
-            assert page.ask("GET", path).status == 401
-            assert page.ask("GET", path, None, {"cookie": cookie}).status == 200
-        own = {"sec-fetch-site": "same-origin"}
-        assert page.ask("GET", "/viewer", None, own).status == 401
-        assert page.ask("GET", "/viewer", None, own | {"cookie": cookie}).status == 403
-    assert program.asked == []
