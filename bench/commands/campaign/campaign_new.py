@@ -54,6 +54,10 @@ def new(
 
     Prints duration and resolution. Mistakes are listed all at once; the file is kept and can be corrected.
     """
+    from bench.campaign.plan.shot_sequence import all_trials
+    from bench.campaign.report.preview import outlook_words
+    from bench.campaign.run.plan_requirements import needs
+
     name = _plan_name(file)
     given: dict[str, Any] = {"compare": compare, "ball": ball, "club": club, "swing": swing}
     configuration = context.ensure_object(Session).configuration()
@@ -72,7 +76,11 @@ def new(
         "control": {"ball": control},
         "analysis": {"carry": "monitor", **analysis},
     }
-    for line in _outlook(_write(file, sections, blocks, configuration)):
+    plan = _write(file, sections, blocks, configuration)
+    shots = len(all_trials(plan))
+    minutes = (shots * plan.design.seconds_per_shot + needs(plan).hand_work) / 60.0
+    typer.echo(f"{shots} shots, about {minutes:.0f} min with the work by hand.")
+    for line in outlook_words(plan):
         typer.echo(line)
     typer.echo(f"Written: {file}. Shot order: golfbench campaign check {file}")
 
@@ -184,14 +192,3 @@ def _plan_text(sections: Mapping[str, Mapping[str, Any]]) -> str:
             comment = comments.get((section, key), "")
             lines.append(f"{line:<{_COMMENT_AT}}# {comment}" if comment else line)
     return "\n".join(lines) + "\n"
-
-
-def _outlook(plan: CampaignPlan) -> list[str]:
-    """Return shots, duration and resolution in words."""
-    from bench.campaign.plan.shot_sequence import all_trials
-    from bench.campaign.report.preview import outlook_words
-    from bench.campaign.run.plan_requirements import needs
-
-    shots = len(all_trials(plan))
-    minutes = (shots * plan.design.seconds_per_shot + needs(plan).hand_work) / 60.0
-    return [f"{shots} shots, about {minutes:.0f} min with the work by hand.", *outlook_words(plan)]

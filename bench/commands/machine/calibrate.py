@@ -97,44 +97,30 @@ def encoders(
     json_: Json = False,
 ) -> None:
     """Set the encoder zeros: counts at angle zero, or the pose in which the robot is locked now."""
-    from bench.calibration.archive import calibration_of
-    from bench.calibration.calibration import CalibrationKind, EncoderZeros, precedes_commissioning
-    from bench.calibration.calibration import zero_counts as zeros_at
+    from bench.calibration.calibration import CalibrationKind
 
-    location = "calibrate encoders"
     configuration = context.ensure_object(Session).configuration()
-    here = configuration.plant.encoders
-    # Not by `apply`: the calibration in force may belong to other encoders.
-    entry = calibration_of(configuration, datetime.now(UTC)).of(CalibrationKind.ENCODERS)
-    known: EncoderZeros | Encoders = here
-    if entry is not None and not precedes_commissioning(entry, configuration):
-        known = entry.values if isinstance(entry.values, EncoderZeros) else here
+    known = _known_zeros(configuration)
     sign = sign or known.sign
-    content: dict[str, Any] = {
-        "sign": sign,
-        "counts_per_revolution": here.counts_per_revolution,
-        "uncertainty": radians(uncertainty_deg),
-        "zero_shift": _zero_shifts(configuration),
-    }
     if (zero_counts is None) == (from_pose is None) or (counts is not None and from_pose is None):
         raise BenchError(
-            location,
+            "calibrate encoders",
             "--zero-counts and --from-pose" if zero_counts and from_pose else "no measurement",
             "--zero-counts, or --from-pose with or without --counts",
             "Give one of the two.",
         )
-    if zero_counts is None:
-        angles = tuple(map(radians, from_pose or ()))
-        _require_pose(configuration, angles)
+    if from_pose is not None:
         method = method or "locked at the mechanical reference, counts " + ("entered" if counts else "read")
-        counts = counts or _live_counts(configuration)
-        _require_counts(counts, here.counts_per_revolution)
-        a, b, c = angles
-        content["zero_count"] = zeros_at(counts, (a, b, c), sign, here.counts_per_revolution)
-    else:
-        content["zero_count"] = zero_counts
-    if not remounted:
-        _require_known_zeros(content["zero_count"], sign, configuration, known)
+        zero_counts = _zeros_at(configuration, from_pose, counts, sign)
+    content = {
+        "sign": sign,
+        "counts_per_revolution": configuration.plant.encoders.counts_per_revolution,
+        "uncertainty": radians(uncertainty_deg),
+        "zero_shift": _zero_shifts(configuration),
+        "zero_count": zero_counts,
+    }
+    if zero_counts is not None and not remounted:
+        _require_known_zeros(zero_counts, sign, configuration, known)
     _add(
         context, CalibrationKind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_
     )
@@ -310,23 +296,36 @@ def _add(
         typer.echo("A running bench checks it at its next arming; values other than before need a restart.")
 
 
-def _require_pose(configuration: Configuration, angles: tuple[float, ...]) -> None:
-    """Raise BenchError when a joint cannot be at its angle."""
+def _known_zeros(configuration: Configuration) -> EncoderZeros | Encoders:
+    """Return the zeros in force; not by `apply`, as their calibration may belong to other encoders."""
+    from bench.calibration.archive import calibration_of
+    from bench.calibration.calibration import CalibrationKind, EncoderZeros, precedes_commissioning
+
+    entry = calibration_of(configuration, datetime.now(UTC)).of(CalibrationKind.ENCODERS)
+    if entry is None or precedes_commissioning(entry, configuration):
+        return configuration.plant.encoders
+    return entry.values if isinstance(entry.values, EncoderZeros) else configuration.plant.encoders
+
+
+def _zeros_at(c: Configuration, pose: Three, counts: Whole | None, sign: Whole) -> Three:
+    """Return the counts at angle zero of a robot locked at `pose` (deg); its counts are read if not given."""
+    from bench.calibration.calibration import zero_counts
     from bench.control.settings import angle_travel
     from drivers.base import JOINTS
 
-    for name, angle, (low, high) in zip(JOINTS, angles, angle_travel(configuration.plant), strict=True):
+    angles = radians(pose[0]), radians(pose[1]), radians(pose[2])
+    for name, angle, (low, high) in zip(JOINTS, angles, angle_travel(c.plant), strict=True):
         if not low <= angle <= high:
             location, found = f"calibrate encoders: --from-pose, {name}", f"{degrees(angle):g} deg"
             expected = f"{degrees(low):.1f} to {degrees(high):.1f} deg, between its stops"
             raise BenchError(location, found, expected, "Give the angle of the mechanical reference.")
-
-
-def _require_counts(counts: Whole, counts_per_revolution: int) -> None:
+    turn = c.plant.encoders.counts_per_revolution
+    counts = counts or _live_counts(c)
     for i, count in enumerate(counts):
-        if not 0 <= count < counts_per_revolution:
-            location, expected = f"calibrate encoders: --counts[{i}]", f"0 to {counts_per_revolution - 1}"
+        if not 0 <= count < turn:
+            location, expected = f"calibrate encoders: --counts[{i}]", f"0 to {turn - 1}"
             raise BenchError(location, str(count), expected, "Give the count that the encoder shows.")
+    return zero_counts(counts, angles, sign, turn)
 
 
 def _require_known_zeros(zeros: Three, sign: Whole, c: Configuration, known: EncoderZeros | Encoders) -> None:

@@ -89,7 +89,9 @@ def bench_probes(
     if name == "canopen" and configuration.canopen.interface == "socketcan":
         link = configuration.canopen.channel
         if not (root / "sys/class/net" / link).exists():
-            return (*found, Probe("this bench", link, partial(_no_link, configuration.canopen)))
+            set_up = f"ip link set {link} up type can bitrate {configuration.canopen.bitrate} restart-ms 100"
+            advice = f"attach the card, load its driver, then {set_up}; or correct canopen.channel"
+            return (*found, Probe("this bench", link, lambda: missing("no such link", advice)))
         said = cache(partial(_link, link, ask or _ip))
         found += [
             Probe("this bench", f"{link}: bit timing", lambda: bit_timing(configuration.canopen, said())),
@@ -103,12 +105,6 @@ def bench_probes(
             ),
         ]
     return tuple(found)
-
-
-def _no_link(settings: CanopenSettings) -> ItemResult:
-    set_up = f"ip link set {settings.channel} up type can bitrate {settings.bitrate} restart-ms 100"
-    advice = f"attach the card, load its driver, then {set_up}; or correct canopen.channel"
-    return missing("no such link", advice)
 
 
 def loop_core(root: Path, cpu: int) -> ItemResult:

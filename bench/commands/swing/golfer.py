@@ -86,21 +86,17 @@ def import_(
         save_picture(golfer_plot(swing, f"{title}, {capture.path.name}"), plot)
     figures, beyond = summary(swing), beyond_ranges(plant, swing.angle[swing.downswing])
     if json_:
+        keys = ("shoulder_rad", "right_arm_m", "wrist_rad")
+        excess = {key: finite(round(value, 5)) for key, value in zip(keys, beyond, strict=True)}
         source = {"golfer": str(path), "source_sha256": capture.digest}
         marked = {"markers": roles.markers, "markers_left_out": roles.dropped}
-        return show_json(source | figures | {"beyond_machine": _beyond_record(beyond)} | marked)
+        return show_json(source | figures | {"beyond_machine": excess} | marked)
     console = Console()
     for shown in import_report(figures, roles, beyond):
         console.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
     typer.echo(f"Golfer: {path}")
     if plot is not None:
         typer.echo(f"Picture: {plot}")
-
-
-def _beyond_record(excess: Sequence[float]) -> dict[str, float | None]:
-    """Return the excess beyond the machine's ranges by joint, None where not measured."""
-    keys = ("shoulder_rad", "right_arm_m", "wrist_rad")
-    return {key: finite(round(value, 5)) for key, value in zip(keys, excess, strict=True)}
 
 
 @app.command()

@@ -108,17 +108,13 @@ def learn(
         version = keep(database, entry)
     if output is not None:
         save_profile(output, result.correction.applied_to(swing))
-    _show(result, entry, version, json_)
-    exit_unless(result.within)
-
-
-def _show(result: LearningResult, entry: Learned, version: int, json_: bool) -> None:
-    """Print the learning swings, stored as `version`."""
     if json_:
-        return show_json(entry.record | {"version": version})
-    console = Console()
-    console.print(_table(result, entry.profile))
-    console.print(_verdict(result, entry, version), highlight=False)
+        show_json(entry.record | {"version": version})
+    else:
+        console = Console()
+        console.print(_table(result, entry.profile))
+        console.print(_verdict(result, entry, version), highlight=False)
+    exit_unless(result.within)
 
 
 def _require_usable(options: Mapping[str, object], sim: bool) -> None:
