@@ -217,14 +217,13 @@ def page(
     from bench.web.page_access import PageAddress
     from bench.web.page_server import serve_page
 
+    def ready(url: str, _: object) -> None:
+        typer.echo(f"{url}  Ctrl-C ends the page")
+
     session = context.ensure_object(Session)
     given = ("--config", str(session.config)) if session.config else ()
     golfbench = (sys.executable, "-P", "-m", "bench", *given)
-    serve_page(session.configuration(), PageAddress(host, port, identity, tokens), golfbench, _show_page)
-
-
-def _show_page(url: str, _: object) -> None:
-    typer.echo(f"{url}  Ctrl-C ends the page")
+    serve_page(session.configuration(), PageAddress(host, port, identity, tokens), golfbench, ready)
 
 
 def schema(context: typer.Context) -> None:
@@ -322,7 +321,8 @@ def cluster(
     load_distributed()
     identity = context.ensure_object(Session).configuration().network.identity
     files = identity_files(identity) if identity else None
-    beyond = [location for location in (host, _host_of(join)) if location and not _is_loopback(location)]
+    joined = join.partition("://")[2].rpartition(":")[0].strip("[]")
+    beyond = [location for location in (host, joined) if location and not _is_loopback(location)]
     if files is None and beyond:
         found = f"{beyond[0]} without a certificate"
         action = "Make one with `golfbench certificates` and name it in network.identity."
@@ -370,10 +370,6 @@ async def _serve(host: str, port: int, workers: int, join: str, files: IdentityF
         await asyncio.gather(*nannies)
         typer.echo(f"{workers} workers; Ctrl-C ends. Use it: golfbench faults run --cluster {address}")
         await stop.wait()
-
-
-def _host_of(address: str) -> str:
-    return address.partition("://")[2].rpartition(":")[0].strip("[]")
 
 
 def _is_loopback(host: str) -> bool:

@@ -1,4 +1,4 @@
-"""A robot is held to its rules whichever option names the driver."""
+"""`golfbench run` holds a robot to its rules; `golfbench check` reports the model-based check."""
 
 from __future__ import annotations
 
@@ -22,3 +22,31 @@ def test_run_command_hardware_driver_option_requires_hardware_settings(
     assert ended.value.code == ExitCode.BAD_INPUT
     assert "mine.toml: lifecycle.local_reset" in said
     assert "mine.toml: loop.realtime" in said
+
+
+@pytest.mark.parametrize(("setting", "off"), [("simulated", False), ("off", True)])
+def test_check_reports_disabled_model_based_check(
+    setting: str, off: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.toml"
+    text = f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n[envelope.model]\ncheck = "{setting}"\n'
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", str(file), "check"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert ended.value.code in (0, None), said
+    assert ("warning: the model-based check is off" in said) is off
+    assert ("limits of the model-based check" in said) is not off
+
+
+def test_check_path_with_brackets_is_printed_literally(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "b[old].toml").write_text('base = "shipped"\n[bench]\ndata_dir = "d[new]:car:"\n')
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", "b[old].toml", "check"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert ended.value.code in (0, None), said
+    assert "configuration b[old].toml over" in said
+    assert "records in d[new]:car:" in said
