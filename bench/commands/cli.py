@@ -281,7 +281,6 @@ def report_errors(work: Callable[[], object], session: Session) -> int:
 
 
 def _for_programs() -> bool:
-    """Return whether errors are printed for programs."""
     return os.environ.get(FOR_PROGRAMS) == "json"
 
 

@@ -162,7 +162,6 @@ def _interim(plan: CampaignPlan, shots: list[Shot]) -> dict[str, Any] | None:
 
 
 def _landing(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
-    """Return landing points and ellipses of each section."""
     found = []
     for section in sections(plan):
         mine = [shot for shot in shots if shot.section == section.number]

@@ -199,7 +199,6 @@ class BackgroundCommand:
             ) from error
 
     def _wait(self, process: subprocess.Popen[bytes], what: str) -> None:
-        """Publish how `process` ended."""
         code = process.wait()
         text = "" if code == 0 else self._said(what, code)
         self._publish(self._topic, {"what": what, "running": False, "text": text})
@@ -288,7 +287,6 @@ class ViewerProcess:
         raise fault_of("viewer", process.returncode, text)
 
     def _end(self) -> None:
-        """End the process, if there is one."""
         process, self._process, self._url = self._process, None, ""
         if process is None:
             return

@@ -115,7 +115,6 @@ def _newest_swing(ring: Path, plant: PlantParameters) -> np.ndarray[Any, Any] | 
 
 
 def _view(shot: Shot, cycles: np.ndarray[Any, Any], plant: PlantParameters) -> dict[str, Any]:
-    """Return figures and curves of a swing's `cycles`."""
     view: dict[str, Any] = {
         "club": shot.club,
         "ball": shot.ball,

@@ -450,7 +450,6 @@ def _commissioning(folder: Path) -> dict[str, Any]:
 
 
 def _steps(state: Commissioning) -> list[dict[str, Any]]:
-    """Return what each step found, in the order of the steps."""
     done = {step.name: step for step in state.done}
     found = []
     for step in ALL_STEPS:

@@ -353,7 +353,6 @@ class CommandCompleter(Completer):
 
 
 def _completion(text: str, part: str, about: str = "") -> Completion:
-    """Return the completion of `part` to the word `text`."""
     return Completion(f"{text} ", -len(part), display=text, display_meta=about)
 
 

@@ -46,7 +46,6 @@ app.command()(new)
 
 
 def _known_plans() -> list[str]:
-    """Return the names of the shipped plans."""
     from bench.campaign.plan.plan_file import campaign_names
 
     return campaign_names()
@@ -268,7 +267,6 @@ def _run(
     ask: bool,
     by: str,
 ) -> None:
-    """Run `entry` and print the outcome."""
     from bench.base.atomic_file import atomic_file
     from bench.campaign.plan.plan_file import plan_from_record
     from bench.campaign.report.campaign_record import load_record, note_look
@@ -342,7 +340,6 @@ def _marker(store: CampaignStore, campaign: str) -> Callable[[ShotNote], None]:
 def _tell(
     campaign: str, outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem
 ) -> None:
-    """Print the end of a run and its findings."""
     from bench.store.records import CampaignState, state_text
 
     reached = state_text(outcome.state, outcome.reason)

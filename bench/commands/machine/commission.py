@@ -354,7 +354,6 @@ def _mark_in(contacts: ContactMonitor, truth: PlantParameters) -> tuple[float, f
 
 
 def _show_steps(state: Commissioning, *, json_: bool) -> None:
-    """Print the steps, their bounds, and which are done."""
     from bench.commissioning.commissioning import ALL_STEPS
 
     done = {step.name for step in state.done}
@@ -390,7 +389,6 @@ def _loads(machine: SimulatedMachine) -> str:
 
 
 def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
-    """Write the report of the steps done so far."""
     from bench.base.atomic_file import atomic_file
     from bench.commissioning.commissioning import commissioning_report
 
@@ -399,7 +397,6 @@ def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
 
 
 def _show(state: Commissioning) -> None:
-    """Print the commissioned values, the notes of the steps and the files."""
     figures = ("found", "standard error")
     table = plain_table("step", "value", *figures, "unit", right=figures, title="Commissioned robot")
     for value in {value.key: value for value in state.values}.values():

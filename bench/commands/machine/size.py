@@ -241,7 +241,6 @@ def draw(
 def _write(
     output: Path, plant: PlantParameters, min_frame_distance: float, format_: DrawingFormat | None
 ) -> list[Path]:
-    """Write one format or all; return the files to name."""
     from importlib.util import find_spec
 
     from bench.viewer.drawing.drawing import placed

@@ -88,7 +88,6 @@ def _machine(bench: Bench) -> MachineGains | None:
 
 
 def _proofs(bench: Bench, bar: Progress) -> dict[str, ValidationSwing]:
-    """Return a whole swing of the nominal and one of the worn robot."""
     from bench.learning.along_swing import proof
     from bench.simulation.plant_variation import WORN
 
@@ -131,7 +130,6 @@ def margins_table(title: str, judged: LoopMargins) -> Table:
 
 
 def _story(proofs: dict[str, ValidationSwing], worst: str, machine: MachineGains | None) -> list[str]:
-    """Return what to say below the table."""
     lines = [
         "Joints slide, spools are beyond their dead band, the motion is frozen at each instant. The top, "
         "where dry friction holds the joints, and the downswing are shown, but not judged.",
@@ -172,7 +170,6 @@ def _by_pose(machine: MachineGains) -> list[str]:
 
 
 def _worst(judged: LoopMargins) -> str:
-    """Return the worst margins of all loops in words."""
     margins = [loop.margins for loop in judged.loops]
     gain, phase = min(m.gain for m in margins), degrees(min(m.phase for m in margins))
     delay, ratio = 1e3 * min(m.delay for m in margins), min(judged.damping_ratio.values())

@@ -127,7 +127,6 @@ def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
 
 
 def _as_json(one: PartWear) -> dict[str, Any]:
-    """Return a part's wear in its unit."""
     value, scale = one.value, one.value.scale
     return {
         "part": value.part,

@@ -207,7 +207,6 @@ def _require_destination(name: str, folder: Path) -> None:
 
 
 def _events(text: str | None) -> dict[str, float]:
-    """Return the events in `text` (s)."""
     found: dict[str, float] = {}
     for part in text.split(",") if text else ():
         key, _, value = (word.strip() for word in part.partition("="))

@@ -173,7 +173,6 @@ def _learn_live(
 
 
 def _problem(bench: Bench, bar: Progress) -> LearningProblem:
-    """Return the model's response."""
     from bench.learning.learn import prepare
 
     task = bar.add_task("the model's response", total=1.0)

@@ -183,7 +183,6 @@ def _settings(location: str) -> Configuration | None:
 
 
 def _course(location: str, configuration: Configuration) -> SwingCourse:
-    """Return the swing at `location`, a record or a profile."""
     from bench.records.shot.overlay import course_of_profile, course_of_record
     from bench.records.shot.recorded_shot import read_shot
     from bench.swing.library import find_profile
@@ -225,7 +224,6 @@ def _keys(configuration: Configuration) -> dict[str, str]:
 
 
 def _show_keys(places: tuple[str, str], first: dict[str, str], second: dict[str, str], json_: bool) -> None:
-    """Print the keys that differ between two configurations."""
     names = [name for name in {**first, **second} if first.get(name) != second.get(name)]
     rows: list[dict[str, Any]] = [
         {"key": name, "first": first.get(name), "second": second.get(name)} for name in names
