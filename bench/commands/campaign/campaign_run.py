@@ -308,9 +308,13 @@ def _take(
     from bench.campaign.run.progress import CampaignProgress, notifying
     from bench.campaign.run.runner_control import run_campaign, run_start
     from bench.campaign.run.shot_source import Watcher
-from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar
-from bench.commands.campaign.campaign_terminal import ProgressScreen, TerminalOperator, campaign_bar, mark_keys
-from bench.store.records import PromptKind
+    from bench.commands.campaign.campaign_terminal import (
+        ProgressScreen,
+        TerminalOperator,
+        campaign_bar,
+        mark_keys,
+    )
+    from bench.store.records import PromptKind
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
