@@ -176,7 +176,9 @@ def shut_off_words(position: bool | None) -> str:
 def launch_monitor_text(link: LaunchMonitorStatus) -> str:
     """Return which monitors are connected, or when one that connects per shot was seen."""
     if link["presence"] == "connected":
-        return ", ".join(one["device"] or one["address"] for one in link["monitors"]) or "not connected"
+        state: dict[bool | None, str] = {False: " (reports itself not ready)"}
+        named = ((one["device"] or one["address"]) + state.get(one["ready"], "") for one in link["monitors"])
+        return ", ".join(named) or "not connected"
     if (seen := link["seen_s"]) is None:
         return "connects per shot, not seen so far"
     return f"connects per shot, seen within {max(1, ceil(seen / 60.0))} min"

@@ -128,7 +128,7 @@ class LaunchMonitorService:
         self._book = ShotMatcher(settings.window, plan.plant, plan.around)
         self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence()
         self._lost = 0
-        self._arming = ArmingMonitor()
+        self._arming, self._due = ArmingMonitor(), False
         self._fault = "not listening yet"
         self._listen_at = self._link_at = -float("inf")
         self._linked: Any = None
@@ -145,11 +145,15 @@ class LaunchMonitorService:
             self._book.note_swing(swing, utc)
             if swing.struck and swing.impact is not None:
                 self._presence.note_struck(swing.impact)
-        if self._arming.take(cycles):
-            self._server.announce_player(self._club)
         self._book.note_launches(self._server.take())
         self._book.note_asides(self._server.take_asides())
-        for told in self._book.settle(now):
+        self._due |= self._arming.take(cycles)
+        if self._due and not self._book.awaits_launch:  # a monitor that measures is not armed anew
+            self._server.announce_player(self._club)
+            self._due = False
+        awaited = self._book.awaits_launch
+        not_ready = awaited and any(one.ready is False for one in self._server.link().connected)
+        for told in self._book.settle(now, not_ready=not_ready):
             send_event("shot", message=message_of(told))
             self._pass_on(told)
         self._report_link(now)
@@ -176,8 +180,7 @@ class LaunchMonitorService:
         """Forward an undoubted launch of this bench to the simulator."""
         launch = None if told.launch is None or told.reason else told.launch.launch
         if self._client is not None and launch is not None and told.launch is not None:
-            carry = None if told.shot is None else told.shot.carry_m
-            self._client.send(launch, told.launch.club, carry)
+            self._client.send(launch, told.launch.club, told.launch.carry)
 
     def _report_link(self, now: float) -> None:
         link = self._status(now)

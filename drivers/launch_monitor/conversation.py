@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, fields, replace
-from math import degrees, radians
+from math import cos, degrees, radians
 from typing import NamedTuple
 
 from drivers.launch_monitor.open_connect import (
@@ -123,7 +123,7 @@ MAX_SPIN = 1570.0
 """Maximum spin, rad/s (15,000 rpm)."""
 SMASH = (0.8, 1.6)
 """Range of smash factors (ball speed over club speed): an elastic 46 g ball off a 200 g head reaches 1.63,
-one at the Rules' limit 1.5."""
+one at the Rules' limit 1.5. The lower bound falls with the cosine of the launch angle, for lofted clubs."""
 
 
 def add_doubts(record: LaunchRecord, club_speed: float | None = None) -> LaunchRecord:
@@ -142,9 +142,9 @@ def add_doubts(record: LaunchRecord, club_speed: float | None = None) -> LaunchR
         doubts.append(f"spin {spin:.4g} rad/s, expected {MAX_SPIN:g} at most")
     club = record.club.speed if club_speed is None else club_speed
     if speed is not None and club is not None and club > 0.0:
-        smash = speed / club
-        if not SMASH[0] <= smash <= SMASH[1]:
-            doubts.append(f"ball speed {smash:.3g} times the club's, expected {SMASH[0]:g} to {SMASH[1]:g}")
+        smash, least = speed / club, SMASH[0] * cos(min(angle or 0.0, MAX_LAUNCH_ANGLE))
+        if not least <= smash <= SMASH[1]:
+            doubts.append(f"ball speed {smash:.3g} times the club's, expected {least:.2g} to {SMASH[1]:g}")
     once = tuple(dict.fromkeys(doubts))
     return record if once == record.doubts else replace(record, doubts=once)
 

@@ -16,6 +16,7 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from functools import cache
 from math import atan2, cos, degrees, hypot, isfinite, pi, sin
 from pathlib import Path
@@ -110,7 +111,7 @@ def read_message(data: bytes, time: float) -> Message:
     root = _plain_names(tree)
     options, ball, club = (
         _plain_names(part) if isinstance(part, dict) else {}
-        for part in (root.get("shotdataoptions"), root.get("balldata"), root.get("clubdata"))
+        for part in (root.get("shotdataoptions", root), root.get("balldata"), root.get("clubdata"))
     )
     flags = (
         "containsballdata",
@@ -126,7 +127,8 @@ def read_message(data: bytes, time: float) -> Message:
     if has_club is None:
         has_club = bool(club) and not heartbeat
     if not has_ball and not has_club:
-        return status if options else _unknown_layout("neither BallData nor ShotDataOptions", root)
+        told = any(name in options for name in flags)
+        return status if told else _unknown_layout("neither BallData nor ShotDataOptions", root)
     figures = _Figures(ball, club if has_club else {}, quirk_of(status.device))
     ball_known = any(name.lower() in ball for name in _BALL_FIELDS)
     if has_ball and ball_known and _number(ball.get("speed")) != 0.0:
@@ -187,9 +189,9 @@ class _Figures:
         self, data: Mapping[str, Any], key: str, bounds: _Bounds, *, measured_zero: bool = True
     ) -> float | str:
         """Return the figure in SI, or why it is missing."""
-        if self._quirk is not None and key.lower() in self._quirk.ignore:
+        value, sent, of_club = _figure(data, key, bounds), data.get(key.lower()), data is self.club
+        if self._quirk is not None and self._quirk.covers(key, sent, of_club=of_club):
             return f"{key} of this device: {self._quirk.reason}"
-        value = _figure(data, key, bounds)
         return _NOT_MEASURED if value == 0.0 and not measured_zero else value
 
     def _kept(self, name: str, value: float | str) -> float | None:
@@ -233,7 +235,8 @@ def _spin(figures: _Figures) -> tuple[float | str, float | str]:
     """Return spin (rad/s) and axis (rad), each replaced by a reason if unknown.
 
     Total spin and axis take precedence over the components, which may disagree, as in the specification's own
-    example. No ball leaves a club without spin: 0 rpm means that spin was not measured.
+    example; an axis of 0 beside a side spin does not. No ball leaves a club without spin: 0 rpm means that
+    spin was not measured.
     """
     ball, value = figures.ball, figures.value
     total, axis = value(ball, "TotalSpin", _SPIN), value(ball, "SpinAxis", _AZIMUTH)
@@ -243,7 +246,7 @@ def _spin(figures: _Figures) -> tuple[float | str, float | str]:
     if isinstance(back, float) and isinstance(side, float) and (back or side):
         if isinstance(total, str):
             total, axis = hypot(back, side), atan2(side, back)
-        elif isinstance(axis, str):
+        elif isinstance(axis, str) or (axis == 0.0 and side):
             axis = atan2(side, back)
     return total, total if isinstance(total, str) else axis
 
@@ -311,12 +314,20 @@ class MonitorQuirk(NamedTuple):
 
     name: str
     devices: tuple[str, ...]
-    """Device names as they send them."""
+    """Device names as they send them; one that ends in `*` covers all that begin so."""
     ignore: frozenset[str]
-    """Fields without a measurement, in lower case."""
+    """Fields without a measurement, in lower case; `club.speed` is that of the club only."""
+    codes: Mapping[str, frozenset[float]]
+    """Values by field, in lower case, that state no measurement."""
     reason: str
     source: str
     """Repository, commit and file."""
+
+    def covers(self, key: str, value: Any, *, of_club: bool) -> bool:
+        """Return whether field `key`, of club or ball, holds no measurement with this `value`."""
+        name = key.lower()
+        ignored = name in self.ignore or (of_club and f"club.{name}" in self.ignore)
+        return ignored or _number(value) in self.codes.get(name, ())
 
 
 @cache
@@ -324,15 +335,17 @@ def quirks() -> Mapping[str, MonitorQuirk]:
     """Return the quirks by device name in lower case."""
     found: dict[str, MonitorQuirk] = {}
     for name, entry in tomllib.loads(_QUIRKS_FILE.read_text(encoding="utf-8-sig")).items():
-        ignore = frozenset(field.lower() for field in entry["ignore"])
-        quirk = MonitorQuirk(name, tuple(entry["names"]), ignore, entry["reason"], entry["source"])
+        ignore = frozenset(field.lower() for field in entry.get("ignore", ()))
+        codes = {field.lower(): frozenset(values) for field, values in entry.get("codes", {}).items()}
+        quirk = MonitorQuirk(name, tuple(entry["names"]), ignore, codes, entry["reason"], entry["source"])
         found |= {device.lower(): quirk for device in quirk.devices}
     return found
 
 
 def quirk_of(device: str) -> MonitorQuirk | None:
     """Return the quirk of the monitor that calls itself `device`; None if it has none."""
-    return quirks().get(device.strip().lower())
+    name, known = device.strip().lower(), quirks()
+    return known.get(name) or next((one for key, one in known.items() if fnmatchcase(name, key)), None)
 
 
 # Answers -----------------------------------------------------------------------------------------

@@ -36,6 +36,7 @@ class ClubFigures(NamedTuple):
 
 
 NO_CLUB = ClubFigures()
+_OF_BALL = (*Launch._fields, "carry")
 
 
 class ClubRecord(NamedTuple):
@@ -98,23 +99,27 @@ class LaunchRecord:
         missing = (f"no {name}: {why}" for name, why in self.absent if name in Launch._fields)
         return "; ".join([*missing, *self.doubts])
 
-    def with_club(self, club: ClubFigures, absent: tuple[tuple[str, str], ...]) -> LaunchRecord:
-        """Return the record with the figures of `club` that it lacks; `absent` are those of `club`."""
-        known = ClubFigures(*(b if a is None else a for a, b in zip(self.club, club, strict=True)))
-        if known == self.club:
+    def completed_by(self, other: LaunchRecord | ClubRecord) -> LaunchRecord:
+        """Return the record with the figures of `other` that it lacks."""
+        club = ClubFigures(*(b if a is None else a for a, b in zip(self.club, other.club, strict=True)))
+        ball = {name: getattr(self, name) for name in _OF_BALL}
+        if isinstance(other, LaunchRecord):
+            ball = {name: getattr(other, name) if value is None else value for name, value in ball.items()}
+        if club == self.club and all(getattr(self, name) == value for name, value in ball.items()):
             return self
-        lacking = {f"club.{name}" for name, value in known._asdict().items() if value is None}
-        of_ball = (each for each in self.absent if not each[0].startswith("club."))
-        of_club = (each for each in (*self.absent, *absent) if each[0] in lacking)
-        return replace(self, club=known, absent=tuple(dict.fromkeys((*of_ball, *of_club))))
+        lacking = {name for name, value in ball.items() if value is None}
+        lacking |= {f"club.{name}" for name, value in club._asdict().items() if value is None}
+        absent = dict.fromkeys(each for each in (*self.absent, *other.absent) if each[0] in lacking)
+        return replace(self, club=club, absent=tuple(absent), **ball)
 
     def is_repeat_of(self, other: LaunchRecord) -> bool:
-        """Whether it is the ball of `other`: sent again, or sent with and without its club."""
-        same = all(
-            getattr(self, name) == getattr(other, name) for name in ("device", "carry", *Launch._fields)
-        )
-        completed = (self.club == NO_CLUB) != (other.club == NO_CLUB)
-        return same and (self.number == other.number or completed)
+        """Whether it is the ball of `other`: sent again, or completed by figures that `other` lacks."""
+        pairs = [(getattr(self, name), getattr(other, name)) for name in _OF_BALL]
+        known = [a == b for a, b in pairs if a is not None and b is not None]
+        whole = self.launch is not None and self.launch == other.launch
+        completed = (self.club == NO_CLUB) != (other.club == NO_CLUB) and all(a == b for a, b in pairs)
+        same = bool(known) and all(known) and self.device == other.device
+        return same and (self.number == other.number or whole or completed)
 
 
 EARLIEST = 0.1
@@ -150,7 +155,7 @@ def join_clubs(
         ]
         if near:
             n = min(near)[2]
-            joined[n] = joined[n].with_club(club.club, club.absent)
+            joined[n] = joined[n].completed_by(club)
         else:
             alone.append(club)
     return joined, alone
@@ -172,7 +177,7 @@ class MatchOutcome(StrEnum):
     NO_LAUNCH = "swing without a launch"
     NO_SWING = "launch without a swing"
     REPEATED = "launch sent again"
-    """Repeat of the matched launch: the monitor got no answer and retried, or completed it with its club."""
+    """Repeat of a matched launch: the monitor got no answer and retried, or completed it."""
     DOUBLE = "second launch of a swing"
     """Another launch in the same swing's window: ambiguous."""
 
@@ -254,7 +259,7 @@ def _settle(swing: SwingImpact, launches: Sequence[LaunchRecord]) -> list[Match]
     ]
     for later, other in zip(rest, others, strict=True):
         if other.outcome is MatchOutcome.REPEATED:
-            first = first.with_club(later.club, later.absent)
+            first = first.completed_by(later)
     doubles = sum(other.outcome is MatchOutcome.DOUBLE for other in others)
     reason = f"{doubles + 1} different launches after one swing" if doubles else ""
     return [Match(MatchOutcome.MATCHED, swing.shot, first, reason), *others]

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from math import radians
 from unittest.mock import Mock
 
 import numpy as np
@@ -105,6 +106,12 @@ def test_monitor_messages_fault_affects_set_share_only(fault: str, messages: int
     assert {len(faulty[n]) for n in struck} == {messages}
     assert faulty == [monitor_messages(STRUCK, n, faults) for n in range(400)]
     assert clean != [monitor_messages(STRUCK, n, MonitorParameters(seed=2)) for n in range(400)]
+
+
+@pytest.mark.parametrize(("ball", "angle", "doubted"), [(0.63, 50, False), (0.65, 12, True), (0.7, 0, True)])
+def test_add_doubts_smash_bound_follows_launch_angle(ball: float, angle: float, doubted: bool) -> None:
+    shot = LaunchRecord(0.0, "x", 1, speed=30.0 * ball, launch_angle=radians(angle))
+    assert bool(add_doubts(shot, 30.0).doubts) is doubted
 
 
 def test_add_doubts_flags_misread_shots_only() -> None:

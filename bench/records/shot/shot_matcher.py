@@ -170,6 +170,8 @@ class ShotMatcher:
         self._launches: tuple[LaunchRecord, ...] = ()
         self._clubs: list[ClubRecord] = []
         self._refused: list[RefusedRecord] = []
+        self._matched: LaunchRecord | None = None
+        """Launch of the last matched swing."""
         self._told: list[SettledOutcome] = []
         self.counts = dict.fromkeys(MatchOutcome, 0)
         """Outcomes so far."""
@@ -196,8 +198,20 @@ class ShotMatcher:
             else:
                 self._refused.append(aside)
 
-    def settle(self, now: float) -> list[SettledOutcome]:
-        """Return the outcomes that are settled at `now` (s, CLOCK_MONOTONIC)."""
+    @property
+    def awaits_launch(self) -> bool:
+        """Whether a ball was struck that no monitor has reported so far."""
+        return bool(self._open) and not self._launches
+
+    def settle(self, now: float, *, not_ready: bool = False) -> list[SettledOutcome]:
+        """Return the outcomes that are settled at `now` (s, CLOCK_MONOTONIC).
+
+        `not_ready`: a monitor reports itself not ready, which explains a launch that it did not report.
+        """
+        repeated = [one for one in self._launches if self._is_sent_again(one)]
+        for launch in repeated:
+            self._tell(Match(MatchOutcome.REPEATED, "", launch), None)
+        self._launches = tuple(one for one in self._launches if one not in repeated)
         while len(self._launches) > _MAX_OPEN:  # too many to be swings of this bench
             self._tell(Match(MatchOutcome.NO_SWING, "", self._launches[0]), None)
             self._launches = self._launches[1:]
@@ -207,14 +221,23 @@ class ShotMatcher:
         self._open, self._launches = found.swings, found.launches
         swings = {one.shot: self._swings[one.shot] for one in found.decided if one.shot}
         for one in found.decided:
-            self._tell(one, swings.get(one.shot), self._unseen(one.shot, ordered))
+            self._tell(one, swings.get(one.shot), self._unseen(one.shot, ordered, not_ready=not_ready))
+            if one.outcome is MatchOutcome.MATCHED:
+                self._matched = one.launch
         for shot in swings:
             del self._swings[shot]
         self._forget(now)
         told, self._told = self._told, []
         return told
 
-    def _unseen(self, shot: str, ordered: Sequence[SwingImpact]) -> str:
+    def _is_sent_again(self, launch: LaunchRecord) -> bool:
+        """Return whether `launch` is that of an earlier swing, by its number and figures."""
+        before = self._matched
+        if before is None or launch.number is None or launch.number != before.number:
+            return False
+        return launch.is_repeat_of(before)
+
+    def _unseen(self, shot: str, ordered: Sequence[SwingImpact], *, not_ready: bool) -> str:
         """Return why no launch is known of `shot`, one of the `ordered` swings."""
 
         def of_shot(time: float) -> bool:
@@ -223,7 +246,9 @@ class ShotMatcher:
 
         if refused := dict.fromkeys(one.reason for one in self._refused if of_shot(one.time)):
             return f"{REFUSED}: {'; '.join(refused)}"
-        return CLUB_ALONE if any(of_shot(club.time) for club in self._clubs) else UNREPORTED
+        if any(of_shot(club.time) for club in self._clubs):
+            return CLUB_ALONE
+        return f"{UNREPORTED}: it reports itself not ready" if not_ready else UNREPORTED
 
     def _forget(self, now: float) -> None:
         """Drop clubs and refused messages whose swing must be settled by `now`."""

@@ -15,10 +15,10 @@ def link(**changes: Any) -> LaunchMonitorStatus:
 
 def test_launch_monitor_text_connected_monitors_lists_names() -> None:
     names = [
-        MonitorStatus(address="::1", device=name, silent_s=0.0, ready=None, ball_detected=None)
-        for name in ("radar", "")
+        MonitorStatus(address="::1", device=name, silent_s=0.0, ready=ready, ball_detected=None)
+        for name, ready in (("radar", False), ("", None))
     ]
-    assert launch_monitor_text(link(monitors=names)) == "radar, ::1"
+    assert launch_monitor_text(link(monitors=names)) == "radar (reports itself not ready), ::1"
     assert launch_monitor_text(link()) == "not connected"
     assert absent_monitor_text(link()) == "no launch monitor is connected"
 

@@ -137,6 +137,12 @@ def test_read_message_unmeasured_spin_is_absent(ball: dict[str, Any]) -> None:
     assert shot.speed == pytest.approx(65.9384)  # the others stand
 
 
+def test_read_message_side_spin_replaces_axis_of_0() -> None:
+    shot = record(TotalSpin=2414, SpinAxis=0, BackSpin=2414, SideSpin=332)
+    assert shot.spin_axis == pytest.approx(math.atan2(332, 2414))
+    assert shot.spin == pytest.approx(2414 * pi / 30)
+
+
 def test_read_message_total_spin_overrides_components() -> None:
     assert record(SideSpin=800.0).spin == pytest.approx(3250 * pi / 30)
     assert record(SpinAxis=...).spin_axis == pytest.approx(math.atan2(-800, 2500))
@@ -195,6 +201,11 @@ def test_read_message_without_data_is_status(options: dict[str, Any]) -> None:
     assert read(ShotDataOptions={**given_options, "LaunchMonitorIsReady": False}) == ReportedStatus(
         "UF-BENCH", bool(options), False, None
     )
+
+
+def test_read_message_status_at_top_level_is_read() -> None:
+    data = {"DeviceID": "x", "ContainsBallData": False, "LaunchMonitorIsReady": True, "IsHeartBeat": True}
+    assert read_message(json.dumps(data).encode(), 7.0) == ReportedStatus("x", heartbeat=True, ready=True)
 
 
 def test_read_message_heartbeat_with_ball_data_is_launch() -> None:

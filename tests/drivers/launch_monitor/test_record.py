@@ -158,3 +158,30 @@ def test_match_gives_each_swing_and_launch_single_outcome(
     assert {(m.outcome, m.shot, id(m.launch)) for m in stepwise} == {
         (m.outcome, m.shot, id(m.launch)) for m in decided.decided
     }
+
+
+WHOLE = replace(told(101.0), launch_angle=0.2, direction=0.01, spin=260.0, spin_axis=0.1)
+
+
+@pytest.mark.parametrize(
+    ("first", "later"),
+    [
+        (replace(WHOLE, spin=None, spin_axis=None, absent=(("spin", "0 rpm: not measured"),)), WHOLE),
+        (WHOLE, replace(WHOLE, carry=210.0, club=CLUB)),
+        (WHOLE, replace(WHOLE, number=2)),
+    ],
+    ids=["spin later", "carry and club later", "renumbered"],
+)
+def test_match_completed_or_renumbered_ball_is_one_launch(first: LaunchRecord, later: LaunchRecord) -> None:
+    decided = match([SwingImpact("7", 100.0)], [first, replace(later, time=102.0)], 200.0, WINDOW).decided
+    assert [one.outcome for one in decided] == [MatchOutcome.MATCHED, MatchOutcome.REPEATED]
+    launch = decided[0].launch
+    assert launch is not None
+    assert (launch.valid, launch.time, launch.number) == (True, 101.0, 1)
+    assert (launch.carry, launch.club, launch.spin) == (later.carry, later.club, 260.0)
+
+
+def test_match_other_number_and_unknown_figures_are_double() -> None:
+    launches = [replace(WHOLE, spin=None), replace(WHOLE, number=2, time=102.0)]
+    decided = match([SwingImpact("7", 100.0)], launches, 200.0, WINDOW).decided
+    assert decided[1].outcome is MatchOutcome.DOUBLE

@@ -245,3 +245,24 @@ def test_shot_matcher_launch_flood_is_bounded_and_counted(book: ShotMatcher) -> 
     assert len(book.settle(10.1)) == 1000 - 64
     assert len(book.settle(30.0)) == 64
     assert book.counts[MatchOutcome.NO_SWING] == 1000
+
+
+def test_shot_matcher_launch_of_earlier_swing_sent_again_is_repeated(
+    book: ShotMatcher, swing: FinishedSwing
+) -> None:
+    book.note_swing(swing, NOW)
+    book.note_launches([launch(100.5)])
+    assert one(book.settle(105.0)).outcome is MatchOutcome.MATCHED
+    book.note_swing(swing._replace(shot="r-6000", impact=110.0), NOW)
+    assert book.awaits_launch
+    book.note_launches([launch(110.4), replace(launch(111.0, 52.1), number=2)])
+    again, told = book.settle(120.0)
+    assert (again.outcome, again.shot_id) == (MatchOutcome.REPEATED, "")
+    assert (told.outcome, told.shot_id, told.reason) == (MatchOutcome.MATCHED, "r-6000", "")
+    assert told.launch is not None
+    assert told.launch.speed == 52.1
+
+
+def test_shot_matcher_monitor_not_ready_is_reason(book: ShotMatcher, swing: FinishedSwing) -> None:
+    book.note_swing(swing, NOW)
+    assert one(book.settle(110.0, not_ready=True)).reason == f"{UNREPORTED}: it reports itself not ready"
