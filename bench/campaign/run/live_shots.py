@@ -15,12 +15,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any, Self
+
+import numpy as np
 
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import format_value
-from bench.base.lifecycle import Refusal
+from bench.base.lifecycle import Refusal, State
 from bench.campaign.plan.bench_setup import Preparation
 from bench.campaign.plan.carry import Measured, require_carry
 from bench.campaign.plan.plan import CampaignPlan
@@ -380,7 +382,9 @@ class LiveShots(ShotSource):
         else:
             hit = delivery if self.simulated and struck else None
             heard = self._modelled(number, hit, plant.robot.club, ball, around)
-        row = shot_row(step, number, sample, record.time_utc, status, reason, delivery=delivery, air=air)
+        begun = float(cycles["time"][np.argmax(cycles["state"] == State.SWINGING)] - cycles["time"][0])
+        time_utc = record.time_utc + timedelta(seconds=begun)
+        row = shot_row(step, number, sample, time_utc, status, reason, delivery=delivery, air=air)
         simulated = ball if self.simulated else None
         shot = with_launch(row, heard, self._plan, self._measured, around, simulated)
         metadata |= {"record": record.path.name, **more}

@@ -79,6 +79,7 @@ class Shot:
     launch_source: str = ""
     carry_source: str = ""
     time_utc: datetime = datetime(1970, 1, 1, tzinfo=UTC)
+    """Begin of its swing."""
     carry_side_m: float | None = None
     """Distance of the ball's landing from the target line, positive to the right."""
     swing: str = ""

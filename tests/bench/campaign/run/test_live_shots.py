@@ -15,6 +15,7 @@ from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bench.base.errors import ExitCode, Refused
@@ -581,6 +582,16 @@ def test_live_shots_reference_carry_uses_measured_air(
     assert temperatures == [None, c.air.temperature, 263.15]
     assert carries[0] == carries[1]
     assert carries[2] < carries[1]  # cold air is dense
+
+
+def test_live_shots_time_is_begin_of_swing(plan: CampaignPlan, record: tuple[SwingRecord, Launch]) -> None:
+    swing, launch = record
+    waited = np.concatenate([np.repeat(swing.cycles[:1], 3), swing.cycles])
+    waited["time"][:3] -= (9.0, 8.0, 7.0)
+    waited["state"][:3] = State.ARMED
+    source = shots_of(plan, StandingBench(), simulated=False, monitored=True)
+    shot = source._taken(a_step(), 1, 1, swing._replace(cycles=waited), reported(launch, None)).shot
+    assert shot.time_utc == swing.time_utc + timedelta(seconds=9.0)
 
 
 def test_live_shots_real_carry_ignores_planned_ball(
