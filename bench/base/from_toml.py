@@ -239,7 +239,10 @@ class Builder:
             return self._fault(path, "a table", expected(hint))
         if node.suffix and node.suffix not in suffixes(hint):
             name = f"{node.key} ({path.rsplit('.', 1)[-1]})"
-            return self._fault(path, name, expected(hint), f"It cannot be given in {node.suffix}.")
+            action = f"It cannot be given in {node.suffix}."
+            if not suffixes(hint):
+                action = f"Write it without _{node.suffix}; the manual states its unit."
+            return self._fault(path, name, expected(hint), action)
         return self._leaf(hint, node.value, node.suffix, path)
 
     def _dataclass(self, kind: Any, node: Tree, path: str, given: dict[str, Any]) -> Any:

@@ -300,6 +300,10 @@ def _dof(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> int:
     return dof
 
 
+_LEAST_FACTOR, _MOST_FACTOR = 0.2, 2.9
+"""Bounds of both factors in a fit; a step of its differences beyond them is a ball's still."""
+
+
 class _Fit:
     """Flights of a ball, and the prediction of their observations by its factors of drag and lift (2,)."""
 
@@ -309,11 +313,16 @@ class _Fit:
     def solved(self, scatter: FlightUncertainty) -> tuple[Array, float, list[Array]]:
         """Return the factors, half the sum of the squared whitened residuals, and the whitening matrices."""
         factors, cost, whiteners = np.array([1.0, 1.0]), 0.0, list[Array]()
-        bounds, step = ([0.2, 0.2], [3.0, 3.0]), [_DIFFERENCE] * 2
+        bounds, step = (_LEAST_FACTOR, _MOST_FACTOR), [_DIFFERENCE] * 2
         for _ in range(_ROUNDS):
             whiteners = self._whiteners(factors, scatter)
             found = least_squares(self._residuals, factors, args=(whiteners,), bounds=bounds, diff_step=step)
             factors, cost = found.x, float(found.cost)
+        if np.any((factors < 1.05 * _LEAST_FACTOR) | (factors > _MOST_FACTOR / 1.05)):
+            raise ValueError(
+                f"drag factor {factors[0]:.3g}, lift factor {factors[1]:.3g} at their bounds "
+                f"{_LEAST_FACTOR:g} and {_MOST_FACTOR:g}; check units and columns of the flights"
+            )
         return factors, cost, whiteners
 
     def covariance(

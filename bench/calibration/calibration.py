@@ -597,7 +597,8 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
     match values:
         case BallPosition(x, y):
             site, key = configuration.plant.site, configuration.site_key
-            _require_near(location, key, hypot(x - site.ball_x, y - site.ball_y), _BALL_MOVED)
+            told = f"({x:g}, {y:g}) m, configured as ({site.ball_x:g}, {site.ball_y:g}) m in {key}"
+            _require_near(location, told, hypot(x - site.ball_x, y - site.ball_y), _BALL_MOVED)
         case ClubInMount(name):
             _require_club(f"{location} {name}", f"clubs.{name}", values, configuration.clubs[name])
         case ValveCentres():
@@ -608,9 +609,8 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
 
 def _require_club(location: str, key: str, values: ClubInMount, club: Club) -> None:
     """Check length, loft and lie against those configured as `club`."""
-    _require_near(
-        location, f"{key}.length_to_face", abs(values.length_to_face - club.length_to_face), _CLUB_MOVED
-    )
+    told = f"{values.length_to_face:g} m, configured as {club.length_to_face:g} m in {key}.length_to_face"
+    _require_near(location, told, abs(values.length_to_face - club.length_to_face), _CLUB_MOVED)
     for name in ("loft", "lie"):
         angle = degrees(getattr(values, name))
         off = abs(angle - degrees(getattr(club, name)))
@@ -635,7 +635,7 @@ def _require_valves(location: str, values: ValveCentres, c: Configuration) -> No
                 raise BenchError(f"{location}: {joint}", found, f"{VALVE_MOVED:g} from it at most", action)
 
 
-def _require_near(location: str, key: str, distance: float, most: float) -> None:
+def _require_near(location: str, found: str, distance: float, most: float) -> None:
     if distance > most:
         action = "Measure again; if the machine was rebuilt, correct the configuration first."
-        raise BenchError(location, f"{distance:.3f} m from what {key} says", f"{most:g} m at most", action)
+        raise BenchError(location, found, f"{most:g} m from it at most", action)

@@ -361,7 +361,7 @@ def _ball(plan: MachineSwing) -> Check:
     if far and profile.club == plan.plant.robot.club.name:  # another club is a fault of its own
         found = f"the face {behind:.3f} m behind the ball and {above:.3f} m above it"
         wanted = "within {:g} and {:g} m".format(*CONTACT_TOLERANCE)
-        action = "Correct impact_time_s; else the swing misses the ball."
+        action = "Compare the calibrations of club and ball with the machine; else correct impact_time_s."
         faults.append(plan.key("impact_time_s", found, wanted, action))
     found = f"tee {1e3 * off:.1f} mm off · face {1e3 * above:+.1f} mm in height"
     allowed = f"{1e3 * BALL_TOLERANCE:g} · {1e3 * CONTACT_TOLERANCE[1]:g} mm"

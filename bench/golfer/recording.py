@@ -75,6 +75,8 @@ def read_csv(path: Path, content: bytes) -> Capture:
         raise damaged(path, str(error), f"line {len(rows) + 1}", "a row without quotes") from None
     header = [cell.strip() for cell in rows[0][1]] if rows else []
     names = [head[:-2] for head in header[1::3]]
+    if len(header) == 1 and ";" in header[0]:
+        raise damaged(path, "cells separated by ;", "line 1", "cells separated by commas, points in numbers")
     wanted = ["time_s", *(f"{name}_{axis}" for name in names for axis in "xyz")]
     if not names or header != wanted:
         found = next((a for a, b in zip(header, wanted, strict=False) if a != b), f"{len(header)} columns")

@@ -154,7 +154,7 @@ class Gate:
     shaft_lean: Annotated[float, Range(0.0, pi / 4, "rad")]
     strike_x: Annotated[float, Range(0.0, 0.05, "m")]
     strike_y: Annotated[float, Range(0.0, 0.05, "m")]
-    sources: tuple[str, ...]
+    sources: tuple[Literal["simulated", "encoders+model", "launch monitor"], ...]
 
 
 @dataclass(frozen=True)

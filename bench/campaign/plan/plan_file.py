@@ -128,7 +128,7 @@ def _completed(
     for name, entry in node.items():
         if isinstance(entry, dict) and isinstance(like := entry.get("like"), TomlValue):
             rest = {key: value for key, value in entry.items() if key != "like"}
-            if like.value not in known:
+            if not isinstance(like.value, str) or like.value not in known:
                 location, expected = f"{file}: {section}.{name}.like", f"one of {', '.join(known)}"
                 faults.append(BenchError(location, format_value(like.value), expected, "Name one of them."))
                 continue
@@ -195,6 +195,8 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
         found = str(plan.warm_up.at_most)
         yield "warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it."
+    if not plan.gate.sources:
+        yield "gate.sources", "[]", "at least one source", "Name those whose delivery counts."
     if plan.analysis.reference and plan.analysis.reference not in levels(plan):
         found, wanted = format_value(plan.analysis.reference), f"one of {', '.join(levels(plan))}"
         action = did_you_mean(plan.analysis.reference, levels(plan), f"Use one of design.{d.compare}s.")
@@ -313,6 +315,8 @@ def _hits(plan: CampaignPlan) -> Iterator[Mistake]:
     """Yield an error if balls would exceed their hits, repeats left out."""
     handling = plan.ball_handling
     allowed = handling.samples * handling.hits
+    if not all((plan.design.balls, plan.design.clubs, plan.design.swings)):
+        return
     for name, needed in hits_needed(plan).items():
         if needed > allowed:
             samples = -(-needed // handling.hits)

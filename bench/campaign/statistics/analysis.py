@@ -32,7 +32,6 @@ from bench.campaign.statistics.block_model import (
     Contrast,
     ScatterRatio,
     Spread,
-    are_pooled,
     ball_columns,
     enough_mountings,
     fit_blocks,
@@ -49,6 +48,7 @@ from bench.campaign.statistics.unequal_variances import (
     JointErrors,
     UnitErrors,
     UnitLayout,
+    are_pooled,
     common_errors,
     together,
     units_of,
@@ -291,8 +291,7 @@ def _compared(
     units = units_of(data.level, data.ball, count)
     if fit.dof < 1 or (plan.split and not enough_mountings(data.level, data.block, count)):
         return None, kept
-    pooled = plan.split and are_pooled(units.balls)
-    errors = UnitLayout(fit, units, pooled=pooled).estimate(fit.residuals)
+    errors = UnitLayout(fit, units, pooled=are_pooled(units, split=plan.split)).estimate(fit.residuals)
     hits = np.bincount(data.level, minlength=count)
     found, common = [], common_errors(plan, data.shots)
     for one, two in combinations(range(len(names)), 2):

@@ -158,10 +158,6 @@ def holm(p: Sequence[float]) -> list[float]:
     return [float(value) for value in adjusted]
 
 
-_OWN_SCATTER = 10
-"""Mountings of each club from which on each club's scatter is estimated for itself."""
-
-
 def within_club(plan: CampaignPlan, club: str) -> CampaignPlan:
     """Return the plan of the comparison of balls within `club`, of a split-plot."""
     d = plan.design
@@ -207,11 +203,6 @@ def enough_mountings(level: Codes, block: Codes, levels: int) -> bool:
     """Return whether blocks and levels leave degrees of freedom for the scatter of mountings."""
     plots = np.unique(np.column_stack([level, block]), axis=0)
     return fit_blocks(np.zeros(len(plots)), plots[:, 0], plots[:, 1], levels).dof >= 1
-
-
-def are_pooled(mountings: Codes) -> bool:
-    """Return whether all clubs' mountings are taken to scatter alike; else each club's for itself."""
-    return int(mountings.min()) < _OWN_SCATTER
 
 
 def fully_randomised(plan: CampaignPlan) -> CampaignPlan:

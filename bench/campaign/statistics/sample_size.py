@@ -26,8 +26,15 @@ from scipy import optimize, special, stats
 
 from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role, block_trials, is_settled, looks_after, sections
-from bench.campaign.statistics.block_model import Array, Codes, are_pooled, enough_mountings, fit_blocks
-from bench.campaign.statistics.unequal_variances import Draws, UnitLayout, drawn_pairs, together, units_of
+from bench.campaign.statistics.block_model import Array, Codes, enough_mountings, fit_blocks
+from bench.campaign.statistics.unequal_variances import (
+    Draws,
+    UnitLayout,
+    are_pooled,
+    drawn_pairs,
+    together,
+    units_of,
+)
 from bench.records.shot.shot import Shot
 
 _MAX_BLOCKS = 1_000_000
@@ -238,7 +245,7 @@ def predict_precision(
     if fit.dof < 1 or (plan.split and not enough_mountings(level, block, levels_)):
         return None
     units = units_of(level, ball, levels_)
-    errors = UnitLayout(fit, units, pooled=plan.split and are_pooled(units.balls)).foreseen(
+    errors = UnitLayout(fit, units, pooled=are_pooled(units, split=plan.split)).foreseen(
         np.full(levels_, sd**2), (ball_sd / sd) ** 2
     )
     pairs = list(combinations(range(count), 2))

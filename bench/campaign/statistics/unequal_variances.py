@@ -54,6 +54,12 @@ _TAIL = 20
 _FEW_FREEDOM = 10.0
 """Degrees of freedom below which Wallace's normal figure of Student's t is not near enough."""
 
+_OWN_SCATTER = 10
+"""Mountings of each club from which on each club's scatter is estimated for itself."""
+
+_OWN_VARIANCE = 3
+"""Units of each level from which on it has its own variance: by two, levels that are alike mostly differ."""
+
 
 class Units(NamedTuple):
     """Which shots belong together."""
@@ -64,6 +70,13 @@ class Units(NamedTuple):
     """Level of each unit."""
     balls: Codes
     """Number of balls of each level."""
+
+
+def are_pooled(units: Units, *, split: bool) -> bool:
+    """Return whether all levels are taken to scatter alike; `split`: a unit is a club's mounting."""
+    if split:
+        return int(units.balls.min()) < _OWN_SCATTER
+    return int(np.bincount(units.level, minlength=len(units.balls)).min()) < _OWN_VARIANCE
 
 
 class UnitErrors(NamedTuple):

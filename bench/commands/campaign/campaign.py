@@ -306,6 +306,14 @@ def abort(
     _request(context, entry.id, "abort")
 
 
+_AIR = {
+    "--temperature": (-40.0, 60.0, "deg C"),
+    "--pressure": (200.0, 1200.0, "hPa"),
+    "--humidity": (1.0, 100.0, "%"),
+}
+"""Bounds of a reading of the air; a humidity below 1 is a share in place of per cent."""
+
+
 @app.command()
 def air(
     context: typer.Context,
@@ -332,17 +340,14 @@ def air(
                 "all three values",
                 f"Add the options {', '.join(missing)}.",
             )
+    for name, value in given.items():
+        low, high, unit = _AIR[name]
+        if value is not None and not low <= value <= high:
+            expected = f"{low:g} to {high:g} {unit}"
+            raise BenchError(f"air {name}", f"{value:g}", expected, f"Enter the reading in {unit}.")
     with open_store(address.bench) as store:
         if temperature is not None and pressure is not None and humidity is not None:
-            try:
-                read = Air(temperature + 273.15, 100.0 * pressure, humidity / 100.0)
-            except ValueError as error:
-                raise BenchError(
-                    "air",
-                    f"{temperature} deg C, {pressure} hPa, {humidity} %",
-                    str(error),
-                    "Correct the value of this reading.",
-                ) from None
+            read = Air(temperature + 273.15, 100.0 * pressure, humidity / 100.0)
             figures = read.temperature, read.pressure, read.relative_humidity
             reading = AirReading(bench, datetime.now(UTC), *figures, by or user_name())
             store.add_air(reading)

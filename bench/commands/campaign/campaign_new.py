@@ -88,7 +88,8 @@ def new(
 def _answered(options: Mapping[str, Any], configuration: Configuration) -> dict[str, Any]:
     """Return `options`, the missing ones by answers at a terminal."""
     given = dict(options)
-    missing = [name for name, value in given.items() if value in (None, []) and name != "swing"]
+    idle = "" if given["compare"] == "swing" else "swing"
+    missing = [name for name, value in given.items() if value in (None, []) and name != idle]
     if missing and not at_terminal():
         named = ", ".join(f"--{name}" for name in missing)
         raise BenchError("campaign new", f"no {named}", "these options, or a terminal", f"Add {named}.")

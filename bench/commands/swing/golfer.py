@@ -201,7 +201,7 @@ def _require_destination(name: str, folder: Path) -> None:
     """Refuse a name that is no file's, or a folder that does not exist."""
     if not _NAME.fullmatch(name):
         action = "Give --name a name of these characters."
-        raise BenchError("--name", name[:60], "letters, digits, blanks, dots, dashes", action)
+        raise BenchError("--name", name[:60], "letters, digits, blanks, dots, dashes; no dash first", action)
     if not folder.is_dir():
         raise BenchError("--output", str(folder), "a folder that exists", "Make the folder, or name another.")
 

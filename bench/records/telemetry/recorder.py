@@ -101,6 +101,8 @@ def read_swing(path: Path) -> tuple[Cycles, dict[str, Any]]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    if path.is_dir():  # pyarrow would join its files
+        raise BenchError(str(path), "a folder", "a swing's record (.parquet)", "Name a file in this folder.")
     try:
         table = pq.read_table(path, memory_map=False)
     except FileNotFoundError as error:

@@ -125,6 +125,9 @@ def test_fit_aerodynamics_insufficient_data_is_refused() -> None:
         fitted(flights(2, 1, NONE))
     with pytest.raises(ValueError, match="fewer than 3"):
         fitted([replace(one, apex=None, time=None, carry=None)] * 4)
+    short = [replace(one, carry=0.2 * (one.carry or 0.0)) for one in flights(5, 1, NONE)]
+    with pytest.raises(ValueError, match="at their bounds"):
+        fitted(short)
 
 
 def test_carry_error_matches_drawn_factors() -> None:

@@ -121,6 +121,15 @@ def test_campaign_names_lists_shipped_examples() -> None:
         (('"range"]\nblocks = 4', '" "]\nblocks = 4\n[balls." "]\nlike = "tour"'), "design.balls", '" "'),
         (('"range"]\nblocks = 4', '"a "]\nblocks = 4\n[balls."a "]\nlike = "tour"'), "design.balls", '"a "'),
         (("blocks = 4", 'blocks = 4\nclubs = [""]\n[clubs.""]\nlike = "driver"'), "design.clubs", '""'),
+        (('balls = ["tour", "range"]', "balls = []"), "design.balls", "[]"),
+        (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = ["tour"]'), "balls.x.like", "['tour']"),
+        (('ball = "tour"', 'ball = "tour"\n[gate]\nsources = []'), "gate.sources", "[]"),
+        (('ball = "tour"', 'ball = "tour"\n[gate]\nsources = ["foo"]'), "gate.sources[0]", "foo"),
+        (
+            ('ball = "tour"', 'ball = "tour"\n[rules.uncertainty]\nlaunch_angle_deg = 0.1'),
+            "rules.uncertainty.launch_angle_deg",
+            "launch_angle_deg",
+        ),
     ],
 )
 def test_load_plan_mistake_reports_location(

@@ -132,6 +132,18 @@ def _verdict(plan: CampaignPlan, truth: Truth, seed: int) -> str:
     return result.pairs[0].verdict
 
 
+def test_analyse_two_shots_of_each_alike_ball_rarely_differ(plan: CampaignPlan) -> None:
+    names = tuple("abcdef")
+    balls = {name: replace(next(iter(plan.balls.values())), name=name) for name in names}
+    six = replace(plan, balls=balls, design=replace(plan.design, balls=names, blocks=2))
+    wrong = 0
+    for seed in range(60):
+        result = analyse(six, campaign_shots(six, Truth(drift=0.0), seed), 1, "").confirmatory
+        assert result is not None
+        wrong += any(pair.verdict in {"different", "both"} for pair in result.pairs)
+    assert wrong <= 8  # 1 in 1,000 by chance at 5 %; 35 with a variance of its own for each ball
+
+
 def test_analyse_verdict_follows_difference_and_shot_count(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=4))
     assert _verdict(plan, Truth(sd=2.0, difference=6.0), 1) == "different"

@@ -426,7 +426,8 @@ def test_campaign_air_reading_is_stored_and_shown(call: Call) -> None:
         (("--temperature", "21"), "--pressure, --humidity"),
         (("--temperature", "210", "--pressure", "1000", "--humidity", "40"), "temperature"),
         (("--temperature", "21", "--pressure", "nan", "--humidity", "40"), "pressure"),
-        (("--temperature", "21", "--pressure", "1000", "--humidity", "-1"), "humidity"),
+        (("--temperature", "21", "--pressure", "29.9", "--humidity", "40"), "200 to 1200 hPa"),
+        (("--temperature", "21", "--pressure", "1000", "--humidity", "0.4"), "1 to 100 %"),
     ],
 )
 def test_campaign_air_invalid_reading_is_refused(call: Call, arguments: tuple[str, ...], what: str) -> None:

@@ -89,6 +89,10 @@ def test_campaign_new_without_terminal_lists_missing_options(call: Call, tmp_pat
     error = call("new", "two.toml", "--club", "driver").exception
     assert isinstance(error, BenchError)
     assert error.found == "no --compare, --ball, --difference, --sd"
+    options = ("--compare", "swing", "--ball", "tour", "--club", "driver", "--sd", "1", "--difference", "1")
+    error = call("new", "two.toml", *options).exception
+    assert isinstance(error, BenchError)
+    assert error.found == "no --swing"
     assert list(tmp_path.iterdir()) == []
 
 

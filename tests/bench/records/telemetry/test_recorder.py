@@ -154,6 +154,13 @@ def test_read_swing_missing_or_foreign_file_is_refused(tmp_path: Path) -> None:
             read_swing(path)
 
 
+def test_read_swing_folder_is_refused(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> None:
+    for number in (1, 2):
+        write_swing(tmp_path / f"{number}.parquet", make_swing(number), {"kind": "swing"})
+    with pytest.raises(BenchError, match="a folder"):
+        read_swing(tmp_path)
+
+
 def test_read_swing_truncated_file_is_refused(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> None:
     path = tmp_path / "swing.parquet"
     write_swing(path, make_swing(0), METADATA)
