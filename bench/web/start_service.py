@@ -290,7 +290,7 @@ def form_arguments(form: str, body: dict[str, Any], by: str) -> list[str]:
 
     Raises:
         UnknownName: there is no such form.
-        InvalidBody: a value is none.
+        InvalidBody: a value is no number or text.
     """
     if form not in _COMMANDS:
         raise UnknownName("form")
