@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from bench.golfer.golfer_file import GolferSwing
     from bench.records.shot.shot import ShotRecord
     from bench.viewer.recording import Layout
-    from bench.viewer.window import RerunWindow
     from sim.plant import PlantParameters
 
 _TURN = 0.2
@@ -54,50 +53,44 @@ def view(
         raise BenchError("--golfer", found, expected, "Add --shot RECORD.parquet or --campaign NAME.")
     if save is not None and save.suffix != ".rrd":
         raise BenchError("--save", str(save), "a name that ends in .rrd", "Name it so, or golfbench export.")
-    where = _Where(save, web)
     with ExitStack() as stack:
         if shot is not None or campaign:
-            _view_records(stack, shot, campaign or [], golfer, where)
+            _view_records(stack, shot, campaign or [], golfer, save, web)
         else:
-            _view_bench(stack, context.ensure_object(Session), where)
-
-
-class _Where(NamedTuple):
-    """Options that select where the viewer is displayed."""
-
-    save: Path | None
-    web: bool
-
-    @property
-    def on_screen(self) -> bool:
-        """Whether there is a viewer, not a file alone."""
-        return self.web or self.save is None
+            _view_bench(stack, context.ensure_object(Session), save, web)
 
 
 # Records ---------------------------------------------------------------------------------------------
 
 
 def _view_records(
-    stack: ExitStack, shot: Path | None, campaign: Sequence[Path], golfer: Path | None, where: _Where
+    stack: ExitStack,
+    shot: Path | None,
+    campaign: Sequence[Path],
+    golfer: Path | None,
+    save: Path | None,
+    web: bool,
 ) -> None:
     import rerun as rr
 
     from bench.viewer.recording import layout_for, log_shots, write_recording
+    from bench.viewer.window import RerunWindow
 
     with progress_bar() as progress:
         records, plant, name = _read(shot, campaign, progress)
         swing = None if golfer is None else _golfer(golfer, records, plant)
-        if where.save is not None:
-            write_recording(where.save, records, plant, name, swing)
-            typer.echo(f"written: {where.save}")
-            if not where.on_screen:
+        if save is not None:
+            write_recording(save, records, plant, name, swing)
+            typer.echo(f"written: {save}")
+            if not web:
                 return
-        window = _window(stack, where)
+        window = stack.enter_context(RerunWindow(web=web))
         recording = _recording(stack, name, [rr.GrpcSink(window.url)], layout_for(records))
         task = progress.add_task("showing", total=len(records))
         log_shots(recording, records, plant, lambda: progress.advance(task), swing)
         recording.flush(timeout_sec=60.0)
-    _say_where(window)
+    if window.page is not None:
+        typer.echo(window.page)
     with stop_on_signals() as wish:
         while window.alive and not wish.wait(_TURN):
             pass
@@ -137,7 +130,7 @@ def _golfer(path: Path, records: Sequence[ShotRecord], plant: PlantParameters) -
 # A running bench -------------------------------------------------------------------------------------
 
 
-def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
+def _view_bench(stack: ExitStack, options: Session, save: Path | None, web: bool) -> None:
     import rerun as rr
 
     from bench.network.zenoh_session import close_session, open_client
@@ -146,6 +139,7 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
     from bench.viewer.feed import Feed
     from bench.viewer.recording import Layout
     from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
+    from bench.viewer.window import RerunWindow
 
     c = options.configuration()
     session = open_client(c.network, c.bench.id)  # first: without a bench it fails at once
@@ -154,16 +148,16 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
     warm_up(c.plant, around)
     feed = stack.enter_context(Feed(session, c.bench.id))
     wish = stack.enter_context(stop_on_signals())
-    window = _window(stack, where) if where.on_screen else None
+    window = stack.enter_context(RerunWindow(web=web)) if web or save is None else None
     sinks: list[Any] = [] if window is None else [rr.GrpcSink(window.url)]
-    if where.save is not None:
+    if save is not None:
         # No table of contents at its end: that would be kept in memory, and a file cut short is readable so.
-        sinks.append(rr.FileSink(_writable(where.save), write_footer=False))
+        sinks.append(rr.FileSink(_writable(save), write_footer=False))
     layout = Layout("golfbench_live", live_blueprint())
     recording = _recording(stack, f"bench {c.bench.id}", sinks, layout)
     live = LiveView(recording, feed, c.bench.id, c.plant, around)
-    if window is not None:
-        _say_where(window)
+    if window is not None and window.page is not None:
+        typer.echo(window.page)
     typer.echo(f"showing bench {c.bench.id}; Ctrl-C ends it", err=True)
     period = FILE_PERIOD if window is None else PERIOD
     while not wish.is_made() and (window is None or window.alive):
@@ -193,15 +187,6 @@ def _writable(path: Path) -> Path:
         ) from None
 
 
-# Where it is shown -----------------------------------------------------------------------------------
-
-
-def _window(stack: ExitStack, where: _Where) -> RerunWindow:
-    from bench.viewer.window import RerunWindow
-
-    return stack.enter_context(RerunWindow(web=where.web))
-
-
 def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:
     import rerun as rr
 
@@ -210,8 +195,3 @@ def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout
     recording.set_sinks(*sinks, default_blueprint=layout.blueprint)
     recording.send_recording_name(name)
     return recording
-
-
-def _say_where(window: RerunWindow) -> None:
-    if window.page is not None:
-        typer.echo(window.page)
