@@ -266,7 +266,7 @@ def test_background_command_without_log_folder_starts_nothing(tmp_path: Path, pr
 # Measured values -------------------------------------------------------------------------------------
 
 BALL: dict[str, Any] = {"x": 0.1, "y": -1.5, "uncertainty-mm": 2}
-NOTES = {"method": "tape", "note": ""}
+NOTES: dict[str, Any] = {"method": "tape", "note": ""}
 
 
 def test_values_page_shows_and_enters_values(page: RunningPage, program: NotingProgram) -> None:
