@@ -154,7 +154,7 @@ class Workbench:
             min_frame_distance=self.envelope.min_frame_distance,
             access_pressure=1.01 * holding_pressure(self.configuration.plant),
         )
-        return CaseLimits(self.plant, safety, max(run.loads.peak_head_speed for run in runs))
+        return CaseLimits(self.period, safety, max(run.loads.peak_head_speed for run in runs))
 
     def _watched(
         self, instant: Instant, breakage: Breakage | None, event: Event = "", after: float = 0.0

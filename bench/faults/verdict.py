@@ -17,7 +17,6 @@ from bench.faults.case_run import WatchedRun
 from bench.faults.catalogue import Breakage, Event, Instant
 from bench.loop.loop import Cycles
 from bench.simulation.safety import SafetyLimits, unsafe_reasons
-from sim.plant import Plant
 
 _MATTERS = {"speed": 0.01, "strike": 0.005, "pose": 0.02}
 """Share of the head's speed, m at the ball, rad at the end: differences that do not matter yet."""
@@ -47,8 +46,6 @@ class CaseOutcome:
     pressure_share: float
     overtravel: float
     """Share of a cushion's travel that was pressed in."""
-    stop_head_speed: float
-    """Fastest head while a cushion was pressed, m/s."""
     clearance: float
     """Lowest of the head over the ground, m."""
     head_share: float
@@ -69,9 +66,10 @@ class CaseOutcome:
 
 
 class CaseLimits(NamedTuple):
-    """Plant and limits that a case is judged by."""
+    """Tick and limits that a case is judged by."""
 
-    plant: Plant
+    period: float
+    """Tick (s)."""
     safety: SafetyLimits
     head_speed: float
     """Fastest head of the undisturbed swing, m/s."""
@@ -82,11 +80,10 @@ def judge_case(
 ) -> CaseOutcome:
     """Return the outcome of `run` with `breakage` at `instant`; `healthy` is the undisturbed run."""
     cycles, loads = run.cycles, run.loads
-    period = float(limits.plant.parameters.tick)
-    after = round(instant.delay / period)
+    after = round(instant.delay / limits.period)
     detected_by, detected, reaction, reacted = _detection(run, healthy, _own_cause(breakage), after)
     change = _change(run, healthy) if not detected_by else ""
-    head_share = _fastest_head(run, breakage, after, period) / limits.head_speed
+    head_share = _fastest_head(run, breakage, after, limits.period) / limits.head_speed
     reasons = unsafe_reasons(run.end(head_share), limits.safety)
     if reasons and not detected_by:
         reasons.append("the record says healthy")
@@ -100,7 +97,6 @@ def judge_case(
         reasons.append(change)
     cause, final = Cause(int(run.control[0]["cause"])), State(int(run.control[0]["state"]))
     found = Cause(int(run.control[0]["latest_cause"]))
-    fastest_at_stop = float(cycles["plant_head_speed"][_pressed(limits.plant, cycles)].max(initial=0.0))
     return CaseOutcome(
         breakage=breakage.name,
         signal=breakage.fault.signal,
@@ -118,7 +114,6 @@ def judge_case(
         stop=loads.stop,
         pressure_share=round(loads.pressure_share, 4),
         overtravel=round(loads.depth_share, 4),
-        stop_head_speed=round(fastest_at_stop, 2),
         clearance=round(loads.lowest_clearance, 4),
         head_share=round(head_share, 4),
         rest_ticks=run.rest_tick if run.rested else -1,
@@ -196,15 +191,6 @@ def _causes(cycles: Cycles, last: Cause) -> str:
 def _first(mask: NDArray[np.bool_]) -> int:
     found = np.flatnonzero(mask)
     return int(found[0]) if len(found) else -1
-
-
-def _pressed(plant: Plant, cycles: Cycles) -> NDArray[np.bool_]:
-    """Return in which ticks a cushion was pressed, (n,)."""
-    r, angle, actuators = plant.robot[0], cycles["plant_angle"], plant.parameters.actuators
-    length = np.hypot(r["l62"] + r["l23"] * np.cos(angle[:, 1]), r["l23"] * np.sin(angle[:, 1]))
-    position = np.column_stack([angle[:, 0], length - r["l56"], angle[:, 2]])
-    lower, upper = [a.lower for a in actuators], [a.upper for a in actuators]
-    return np.asarray(((position < lower) | (position > upper)).any(axis=1))
 
 
 def _other_detection(run: WatchedRun, healthy: WatchedRun) -> tuple[str, int]:

@@ -40,7 +40,6 @@ def outcome(breakage: Breakage, at: Instant, verdict: str, **changes: object) ->
         "wrist lower stop",
         0.7,
         0.1,
-        3.0,
         0.02,
         1.0,
         500,
