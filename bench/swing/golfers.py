@@ -11,11 +11,12 @@ The two-handicap golfer is the thesis': Hunt's functions as given for shoulder a
 free, so that its angle is the torque-free response of the club, within the human wrist's range. Past its end
 each motion continues at its last speed until the head passes the ball.
 
-Source of Hunt's functions: E. A. Hunt (2002, 2003), quoted in tables 1 and 2 of Meymi, "Modeling and control
-of parallel arm golfing robot", KTH 2009. They are as printed; `step` is ADAMS' cubic smooth step, not the
-tanh the thesis takes it for. The turn counts from address and is positive in the backswing: a robot that
-follows it has theta1 = theta1 at address - turn. Table 2 starts it at zero again, so the whole swing adds the
-turn at the top. The right arm's displacement counts from Hunt's zero (unpublished), negative is shorter.
+Source of Hunt's functions: E. A. Hunt (2002, 2003), quoted in tables 1 and 2 of the thesis (Meymi, "Modeling
+and control of parallel arm golfing robot", KTH 2009). They are as printed; `step` is ADAMS' cubic smooth
+step, not the tanh the thesis takes it for. The turn counts from address and is positive in the backswing: a
+robot that follows it has theta1 = theta1 at address - turn. Table 2 starts it at zero again, so the whole
+swing adds the turn at the top. The right arm's displacement counts from Hunt's zero (unpublished), negative
+is shorter.
 
 The thesis' own swing are the tables of its Appendix B, sample by sample (`thesis_swing`). Each axis has
 separate time and value vectors; the values are tanh curves over an abscissa that is not time. Three seams of

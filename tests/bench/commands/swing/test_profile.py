@@ -207,7 +207,7 @@ def test_profile_simulate_writes_record_and_exit_code_follows_shot(run: Run, tmp
     found = json.loads(answer.out)
     assert answer.code == (ExitCode.REFUSED if found["shot"]["reason"] else ExitCode.OK)
     folder = tmp_path / "here" / "simulations" / "slow"
-    assert sorted(path.name for path in folder.iterdir()) == ["swing.parquet", "tracking.png"]
+    assert sorted(path.name for path in folder.iterdir()) == ["swing.parquet"]
     assert found["shot"]["ball"] == "tour"
     assert set(found["stop_energy_j"]) == {"shoulder vane", "right arm", "wrist cylinder"}
 
@@ -245,7 +245,7 @@ def test_profile_design_saves_profile_and_prints_delivery(
     def made(*arguments: Any, progress: Callable[[str, float], None], **named: Any) -> Any:
         asked.append((arguments, named))
         progress("plan", 0.5)
-        return SimpleNamespace(profile=SHIPPED)
+        return SHIPPED
 
     monkeypatch.setattr("bench.design.designer.design_swing", made)
     path = tmp_path / "fast.toml"
@@ -277,8 +277,7 @@ def test_profile_design_saves_profile_and_prints_delivery(
 def test_profile_design_golfer_stores_followed_swing_and_deviation(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    designed = SimpleNamespace(profile=SHIPPED)
-    monkeypatch.setattr("bench.design.designer.design_swing", lambda *_, **__: designed)
+    monkeypatch.setattr("bench.design.designer.design_swing", lambda *_, **__: SHIPPED)
     monkeypatch.setattr("bench.golfer.comparison.golfer_named", lambda _: golfer_swing())
     answer = run("--config", "mine.toml", "profile", "design", "anna.toml", "--golfer", "anna.golfer.toml")
     assert answer.code == 0, answer.err
