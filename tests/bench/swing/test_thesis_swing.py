@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from bench.swing.golfers import BACKSWING_DURATION, colon, thesis_swing
@@ -16,7 +16,7 @@ SWING = thesis_swing()
 ROBOT = thesis_robot()
 
 
-def joint_reference(t: ArrayLike) -> NDArray[np.float64]:
+def joint_reference(t: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return joint angles (n, 3) of the tables; assumed: rod at 0.22 m and shaft straight down at address."""
     shoulder, arm, wrist = (
         np.interp(t, table.time, table.value) for table in (SWING.shoulder, SWING.right_arm, SWING.wrist)
@@ -66,7 +66,7 @@ def test_joint_reference_matches_tables() -> None:
 
 
 def test_joint_reference_after_last_sample_holds_value() -> None:
-    held = joint_reference([0.846, 0.9])
+    held = joint_reference(np.array([0.846, 0.9]))
     assert held[1] == pytest.approx(held[0])
 
 
