@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,24 +121,12 @@ _BINS, _BIN = 50, 5.0
 _LEVELS = {"loop died": "CRITICAL", "exception": "ERROR"}
 
 
-class Ages:
-    """Ages of the newest cycle, sampled over a minute (s), for percentiles."""
-
-    def __init__(self) -> None:
-        self._values: deque[float] = deque(maxlen=_AGES)
-
-    def add(self, age: float) -> None:
-        """Add `age` (s)."""
-        self._values.append(age)
-
-    def percentile(self, share: float) -> float | None:
-        """Return the `share` percentile of the ages (s), None if there are none."""
-        return float(np.quantile(self._values, share)) if self._values else None
-
-    def words(self) -> str:
-        """Return median and 99th percentile as text."""
-        p50, p99 = self.percentile(0.5), self.percentile(0.99)
-        return "–" if p50 is None or p99 is None else f"p50 {1e3 * p50:.1f} ms, p99 {1e3 * p99:.1f} ms"
+def age_words(ages: Collection[float]) -> str:
+    """Return median and 99th percentile of `ages` (s) as text."""
+    if not ages:
+        return "–"
+    p50, p99 = 1e3 * np.quantile(list(ages), [0.5, 0.99])
+    return f"p50 {p50:.1f} ms, p99 {p99:.1f} ms"
 
 
 def warm_up(plant: PlantParameters, around: FlightConditions) -> None:
@@ -167,8 +155,10 @@ class LiveView:
         self._recording, self._feed, self._bench = recording, feed, bench
         self._plant, self._around = plant, around
         self.axis = ViewClock()
-        self.to_subscriber, self.to_rerun = Ages(), Ages()
-        """Ages from a tick to its arrival here, and to its acceptance by Rerun."""
+        self.to_subscriber: deque[float] = deque(maxlen=_AGES)
+        """Ages from a tick to its arrival here, s."""
+        self.to_rerun: deque[float] = deque(maxlen=_AGES)
+        """Ages from a tick to its acceptance by Rerun, s."""
         self.shots = ShotSeries(recording, self._times)
         self._status: Mapping[str, Any] | None = None
         self._loop: Mapping[str, Any] | None = None
@@ -197,7 +187,7 @@ class LiveView:
             document(self._recording, "bench", self._times(self._at(now)), self._text(now))
         if cycles:
             self._recording.flush(timeout_sec=2.0)
-            self.to_rerun.add(time.time() - news.batches[-1].batch.time)
+            self.to_rerun.append(time.time() - news.batches[-1].batch.time)
         return cycles
 
     # Messages ------------------------------------------------------------------------------------
@@ -207,7 +197,7 @@ class LiveView:
         group: list[tuple[Cycles, Array]] = []
         total = 0
         for arrived in batches:
-            self.to_subscriber.add(arrived.age)
+            self.to_subscriber.append(arrived.age)
             self._heard = time.monotonic()
             cycles = arrived.batch.cycles
             placed = self.axis.location(cycles, arrived.batch.time)
@@ -358,8 +348,8 @@ class LiveView:
         a = self._feed.account
         sent = a.batches + a.lost_batches
         rows += [
-            ("age at subscriber", self.to_subscriber.words()),
-            ("age in Rerun", self.to_rerun.words()),
+            ("age at subscriber", age_words(self.to_subscriber)),
+            ("age in Rerun", age_words(self.to_rerun)),
             ("lost", f"{a.lost_batches} of {sent} batches, {a.lost_cycles} cycles in the ring"),
         ]
         if a.invalid:

@@ -138,8 +138,8 @@ def _view_bench(stack: ExitStack, options: Session, save: Path | None, web: bool
     from bench.viewer.blueprint import live_blueprint
     from bench.viewer.feed import Feed
     from bench.viewer.recording import Layout
-    from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
-    from bench.viewer.window import RerunWindow
+from bench.viewer.viewer import FILE_PERIOD, LiveView, PERIOD, age_words, warm_up
+from bench.viewer.window import RerunWindow
 
     c = options.configuration()
     session = open_client(c.network, c.bench.id)  # first: without a bench it fails at once
@@ -169,7 +169,7 @@ def _view_bench(stack: ExitStack, options: Session, save: Path | None, web: bool
     a = feed.account
     typer.echo(
         f"{a.batches} batches, {a.lost_batches} lost, {a.lost_cycles} cycles lost in the ring; age at the "
-        f"subscriber {live.to_subscriber.words()}, in Rerun {live.to_rerun.words()} (the last minute)",
+        f"subscriber {age_words(live.to_subscriber)}, in Rerun {age_words(live.to_rerun)} (the last minute)",
         err=True,
     )
 

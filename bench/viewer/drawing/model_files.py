@@ -54,6 +54,7 @@ from bench.viewer.drawing.bodies import (
 from bench.viewer.drawing.drawing import draw, plane_to_golf
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
+from sim.robot import Body, Club
 
 _FLOAT, _UNSIGNED = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
@@ -208,7 +209,7 @@ def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) 
     for body in drawing.moving:
         if body.assumed is not None:  # the wrist's piston rod has no joint that URDF could express
             link = _link(robot, body.name)
-            _inertial(link, body)
+            _inertial(link, body, body.assumed)
             files += _visuals(link, folder, body)
             if body.name == "club":
                 _club_outline(link, plant)
@@ -234,15 +235,12 @@ def _link(robot: Element, name: str) -> Element:
     return SubElement(robot, "link", name=name)
 
 
-def _inertial(link: Element, body: DrawnBody) -> None:
+def _inertial(link: Element, body: DrawnBody, assumed: Body | Club) -> None:
     """Add mass, centre of mass and inertia of the dynamics.
 
     They have one moment of inertia, about z. The other two do not matter in a plane: they are the drawn
     body's, scaled alike, so that the tensor is a possible one.
     """
-    assumed = body.assumed
-    if assumed is None:
-        return
     drawn = np.diag(body.weighed.inertia)
     xx, yy, zz = (float(value) * assumed.inertia / float(drawn[2]) for value in drawn)
     inertial = SubElement(link, "inertial")
@@ -358,13 +356,11 @@ class MassRow(NamedTuple):
 
 def mass_rows(plant: PlantParameters) -> list[MassRow]:
     """Return a row for each body of the dynamics."""
-    return [_row(body) for body in draw(plant).moving if body.assumed is not None]
+    return [_row(body, body.assumed) for body in draw(plant).moving if body.assumed is not None]
 
 
-def _row(body: DrawnBody) -> MassRow:
-    assumed, drawn = body.assumed, body.weighed
-    if assumed is None:
-        raise ValueError(f"{body.name} has no body in the dynamics")
+def _row(body: DrawnBody, assumed: Body | Club) -> MassRow:
+    drawn = body.weighed
     return MassRow(
         body.name,
         assumed.mass,

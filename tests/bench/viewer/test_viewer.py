@@ -246,11 +246,8 @@ def test_live_view_measures_age_to_subscriber_and_rerun(
     watched: Watched, make_day: Callable[..., Cycles]
 ) -> None:
     watched.send(make_day([(State.READY, 200)]))
-    here, shown = watched.view.to_subscriber.percentile(1.0), watched.view.to_rerun.percentile(0.0)
-    assert here is not None
-    assert shown is not None
-    assert 0 <= here < HURRY
-    assert 0 < shown < HURRY
+    assert 0 <= max(watched.view.to_subscriber) < HURRY
+    assert 0 < min(watched.view.to_rerun) < HURRY
 
 
 def test_live_view_panel_shows_state_losses_and_timing(
