@@ -30,6 +30,7 @@ from bench.network.command import (
     STOPS,
     Verb,
     encode_command,
+    not_understood,
     parse_answer,
     parse_error,
 )
@@ -339,7 +340,7 @@ class BenchClient:
             case {"key": str(key)}:
                 self.held = HeldLease(holder, key, seconds)
                 return self.held
-        raise _not_understood(answer.content)
+        raise not_understood(repr(answer.content)[:60], "the key of the lease")
 
     def renew_lease(self, seconds: float | None = None) -> float:
         """Renew the lease for `seconds` from now (default: as taken); return them."""
@@ -567,15 +568,9 @@ def checked_status(read: Any) -> BenchStatus:
     Raises:
         BenchError: it is incomplete or of another version.
     """
+    expected = f"a status of version {STATUS_VERSION}"
     if not isinstance(read, dict) or read.get("version") != STATUS_VERSION:
-        raise _not_understood(read)
+        raise not_understood(repr(read)[:60], expected)
     if missing := BenchStatus.__required_keys__ - read.keys():
-        raise _not_understood(f"no {', '.join(sorted(missing))}")
+        raise not_understood(f"no {', '.join(sorted(missing))}"[:60], expected)
     return cast(BenchStatus, read)
-
-
-def _not_understood(found: object) -> BenchError:
-    action = "Use the same golfbench for bench and command line."
-    return BenchError(
-        "answer of the bench", repr(found)[:60], f"a status of version {STATUS_VERSION}", action
-    )

@@ -342,5 +342,10 @@ def parse_error(payload: bytes) -> BenchError:
 
 
 def _other_version(payload: bytes) -> BenchError:
-    expected, action = f"JSON of version {VERSION}", "Use the same golfbench for bench and command line."
-    return BenchError("answer of the bench", shown(payload[:40].decode("utf-8", "replace")), expected, action)
+    return not_understood(shown(payload[:40].decode("utf-8", "replace")), f"JSON of version {VERSION}")
+
+
+def not_understood(found: str, expected: str) -> BenchError:
+    """Return the error for an answer of another golfbench."""
+    action = "Use the same golfbench for bench and command line."
+    return BenchError("answer of the bench", found, expected, action)
