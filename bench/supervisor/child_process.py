@@ -207,7 +207,7 @@ Service = TypeVar("Service")
 
 
 def begin_service(build: Callable[[Any], Service]) -> tuple[Parent, Service]:
-    """Return the parent and what `build` makes of its plan, and report ready; exit if that fails."""
+    """Return the parent and the service that `build` makes of the plan, and report ready; else exit."""
     parent = Parent()
     try:
         service = build(read_plan())

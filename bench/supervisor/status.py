@@ -1,4 +1,4 @@
-"""What the supervisor reports: status, stalls of the computer that caused a stop, systemd, the next run."""
+"""Reports of the supervisor: status, stalls that caused a stop, state for its next run, systemd."""
 
 from __future__ import annotations
 

@@ -188,7 +188,7 @@ def _flight() -> rrb.Spatial3DView:
 
 
 def _outdoors(name: str, origin: str, eye: Vector, target: Vector, **more: Any) -> rrb.Spatial3DView:
-    """Return the view from `eye` to `target` (m) of what is below `origin`."""
+    """Return the view from `eye` to `target` (m) of all below `origin`."""
     controls = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0, 1, 0)
     )

@@ -1,4 +1,4 @@
-"""What the supervisor reports: stalls, disarming, state for the next run, systemd."""
+"""Reports of the supervisor: stalls, disarming, state for the next run, systemd."""
 
 from __future__ import annotations
 
