@@ -138,8 +138,8 @@ def _view_bench(stack: ExitStack, options: Session, save: Path | None, web: bool
     from bench.viewer.blueprint import live_blueprint
     from bench.viewer.feed import Feed
     from bench.viewer.recording import Layout
-from bench.viewer.viewer import FILE_PERIOD, LiveView, PERIOD, age_words, warm_up
-from bench.viewer.window import RerunWindow
+    from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, age_words, warm_up
+    from bench.viewer.window import RerunWindow
 
     c = options.configuration()
     session = open_client(c.network, c.bench.id)  # first: without a bench it fails at once
