@@ -101,7 +101,7 @@ def with_launch(
     around: FlightConditions,
     simulated: Ball | None,
 ) -> Shot:
-    """Return `shot` with its launch as `heard` and its carry; excluded if one of them is in doubt.
+    """Return `shot` with the reported launch and its carry; excluded if one of them is in doubt.
 
     `measured`, `around`, `simulated` as `carry_columns` takes them.
     """

@@ -192,7 +192,7 @@ class SimulatedShots(ShotSource):
     def _heard(
         self, number: int, result: SwingResult, ball: Ball, around: FlightConditions, noise: np.ndarray
     ) -> MonitorResult:
-        """Return what the simulated launch monitor reports of the shot; nothing without a launch."""
+        """Return the report of the simulated launch monitor; empty without a launch."""
         if result.launch is None:
             return MonitorResult()
         speed = None if result.delivery is None else result.delivery.speed
