@@ -9,11 +9,11 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.base.errors import BenchError, ExitCode
+from bench.base.errors import BenchError
 from bench.commands.common.command import Session, argument, flag, option, show_json
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from bench.base.address import IdentityFiles
     from bench.config import Configuration
     from bench.design.static_checks import Check
-
-_LOG_FORMAT = "%(asctime)s %(levelname)s %(message)s"
 
 
 def run(
@@ -53,7 +51,7 @@ def run(
     from bench.config import contradictions, unheard_phases
     from bench.supervisor.daemon import Daemon
 
-    logging.basicConfig(format=_LOG_FORMAT, level=logging.INFO)
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
     logging.getLogger("numexpr").setLevel(logging.WARNING)  # python-can loads it with the extra `export`
     configuration = context.ensure_object(Session).configuration()
     settings = configuration.driver
@@ -72,54 +70,6 @@ def run(
     daemon.run(
         lambda: logging.info("bench %s answers at %s", configuration.bench.id, configuration.network.endpoint)
     )
-
-
-# A bench for the duration of a command ---------------------------------------------------------------
-
-_LOOK = 0.5
-"""Period of checking the parent (s)."""
-
-
-class BenchPlan(NamedTuple):
-    """Which bench runs in a child process, and where its log goes."""
-
-    configuration: Configuration
-    log: Path
-
-
-def main() -> int:
-    """Run the bench of the plan on stdin; return the exit code.
-
-    Events on stdout: `ready`, commands are answered; `failed`, as from other children. It ends with the robot
-    at rest, by SIGTERM or after its parent; the parent handles Ctrl-C.
-    """
-    import logging
-    import signal
-    import threading
-    import time
-
-    from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
-    from bench.supervisor.daemon import Daemon
-    from drivers.base import DriverError
-
-    parent = Parent()
-    os.setpgid(0, 0)  # out of reach of the terminal's Ctrl-C, with all processes of the bench
-    plan: BenchPlan = read_plan()
-    log = os.open(plan.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    os.dup2(log, sys.stderr.fileno())
-    logging.basicConfig(format=_LOG_FORMAT, level=logging.INFO)
-
-    def end_with_parent() -> None:
-        while not parent.gone:
-            time.sleep(_LOOK)
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
-    try:
-        Daemon(plan.configuration).run(lambda: send_event("ready"))
-    except (BenchError, DriverError) as error:
-        return send_failure(error)
-    return ExitCode.OK
 
 
 # The check -------------------------------------------------------------------------------------------
@@ -377,7 +327,3 @@ def _is_loopback(host: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

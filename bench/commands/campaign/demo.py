@@ -35,8 +35,8 @@ from bench.campaign.run.plan_requirements import require_swings
 from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner import RunOutcome
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
-from bench.commands.bench.run import BenchPlan
 from bench.commands.campaign.campaign_terminal import ProgressScreen, campaign_bar
+from bench.commands.campaign.demo_bench import BenchPlan
 from bench.commands.common.output import plain_table
 from bench.config import Configuration, database_url
 from bench.network.client import BenchClient
@@ -225,7 +225,7 @@ def own_bench(configuration: Configuration, log: Path) -> Iterator[None]:
     Raises:
         NotStarted: it does not come up.
     """
-    child = Child.start("bench", "bench.commands.bench.run", BenchPlan(configuration, log))
+    child = Child.start("bench", "bench.commands.campaign.demo_bench", BenchPlan(configuration, log))
     timeout = 2.0  # nothing moves before it is ready
     try:
         child.wait_until_ready(_START)
