@@ -468,7 +468,10 @@ def test_commission_resume_edited_robot_file_is_refused(
     robot.unlink()
     with pytest.raises(SystemExit) as ended:
         main([*given, "--resume"])
-    assert (ended.value.code, robot.read_text()) == (0, written)
+    assert ended.value.code == 0
+    again = robot.read_text().splitlines()
+    changed = [line for line in again if line not in written.splitlines()]
+    assert all(line.startswith(("commissioned = ", "# as written by")) for line in changed), changed
 
 
 @pytest.mark.parametrize(
