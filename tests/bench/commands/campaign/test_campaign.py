@@ -201,7 +201,7 @@ def test_campaign_run_wrong_baseline_or_digest_starts_no_campaign(call: Call, tm
 def test_campaign_run_ended_early_prints_resume_command(
     state: CampaignState, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found: Any = SimpleNamespace(verdicts=[], rules=[])
+    found: Any = SimpleNamespace(sections=[], rules=[])
     outcome = RunOutcome(state, f"{state} by Ctrl-C", 3, 2)
     campaign_run._tell("c7", outcome, found, [], UnitSystem.SI)
     resume = "Next: golfbench campaign resume c7\n" * (state is CampaignState.STOPPED)
