@@ -18,6 +18,7 @@ import typer
 
 from bench.base.errors import BenchError, Refused
 from bench.commands.common.command import Json, Session, exit_unless, flag, option, show_json, user_name
+from bench.network.lease import DEFAULT_SECONDS, MAX_SECONDS, MIN_SECONDS
 
 if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus, CommandAnswer
@@ -189,7 +190,13 @@ def swing(
 # The lease -------------------------------------------------------------------------------------------
 
 Seconds = Annotated[
-    float | None, option("Duration of the lease, s.", "N", low=5.0, high=600.0, shown="30, or unchanged")
+    float | None,
+    option(
+        *("Duration of the lease, s.", "N"),
+        low=MIN_SECONDS,
+        high=MAX_SECONDS,
+        shown=f"{DEFAULT_SECONDS:g}, or unchanged",
+    ),
 ]
 
 
