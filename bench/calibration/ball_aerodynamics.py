@@ -300,7 +300,7 @@ def _dof(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> int:
     return dof
 
 
-_LEAST_FACTOR, _MOST_FACTOR = 0.2, 2.9
+_MIN_FACTOR, _MAX_FACTOR = 0.2, 2.9
 """Bounds of both factors in a fit; a step of its differences beyond them is a ball's still."""
 
 
@@ -313,15 +313,15 @@ class _Fit:
     def solved(self, scatter: FlightUncertainty) -> tuple[Array, float, list[Array]]:
         """Return the factors, half the sum of the squared whitened residuals, and the whitening matrices."""
         factors, cost, whiteners = np.array([1.0, 1.0]), 0.0, list[Array]()
-        bounds, step = (_LEAST_FACTOR, _MOST_FACTOR), [_DIFFERENCE] * 2
+        bounds, step = (_MIN_FACTOR, _MAX_FACTOR), [_DIFFERENCE] * 2
         for _ in range(_ROUNDS):
             whiteners = self._whiteners(factors, scatter)
             found = least_squares(self._residuals, factors, args=(whiteners,), bounds=bounds, diff_step=step)
             factors, cost = found.x, float(found.cost)
-        if np.any((factors < 1.05 * _LEAST_FACTOR) | (factors > _MOST_FACTOR / 1.05)):
+        if np.any((factors < 1.05 * _MIN_FACTOR) | (factors > _MAX_FACTOR / 1.05)):
             raise ValueError(
                 f"drag factor {factors[0]:.3g}, lift factor {factors[1]:.3g} at their bounds "
-                f"{_LEAST_FACTOR:g} and {_MOST_FACTOR:g}; check units and columns of the flights"
+                f"{_MIN_FACTOR:g} and {_MAX_FACTOR:g}; check units and columns of the flights"
             )
         return factors, cost, whiteners
 

@@ -181,7 +181,7 @@ LEARNED_SWINGS = _append_only("learned_swings", LearnedSwingRow, "bench", "profi
 AIR_READINGS = _append_only("air_readings", AirReading)
 BALL_AERODYNAMICS = _append_only("ball_aerodynamics", BallAerodynamicsRow, "bench", "ball")
 
-SCHEMA_VERSION = 14
+SCHEMA_VERSION = 15
 
 
 BUSY_TIMEOUT = 5.0

@@ -22,6 +22,7 @@ import sys
 import time
 from contextlib import ExitStack
 from datetime import UTC, datetime
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,7 @@ from bench.supervisor.child_process import (
 )
 from drivers.base import DriverError
 from drivers.launch_monitor.client import SimulatorClient
+from drivers.launch_monitor.record import CLUB_DELAY
 from drivers.launch_monitor.server import LaunchMonitorServer
 
 SEEN_WITHIN = 120.0
@@ -128,7 +130,7 @@ class LaunchMonitorService:
         self._book = ShotMatcher(settings.window, plan.plant, plan.around)
         self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence()
         self._lost = 0
-        self._arming, self._due = ArmingMonitor(), False
+        self._arming, self._due = ArmingMonitor(), inf
         self._fault = "not listening yet"
         self._listen_at = self._link_at = -float("inf")
         self._linked: Any = None
@@ -147,11 +149,12 @@ class LaunchMonitorService:
                 self._presence.note_struck(swing.impact)
         self._book.note_launches(self._server.take())
         self._book.note_asides(self._server.take_asides())
-        self._due |= self._arming.take(cycles)
-        if self._due and not self._book.awaits_launch:  # a monitor that measures is not armed anew
-            self._server.announce_player(self._club)
-            self._due = False
+        if self._arming.take(cycles):
+            self._due = now + CLUB_DELAY
         awaited = self._book.awaits_launch
+        if self._due < inf and (not awaited or now >= self._due):  # a monitor that measures is not armed anew
+            self._server.announce_player(self._club)
+            self._due = inf
         not_ready = awaited and any(one.ready is False for one in self._server.link().connected)
         for told in self._book.settle(now, not_ready=not_ready):
             send_event("shot", message=message_of(told))

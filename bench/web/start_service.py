@@ -278,29 +278,37 @@ def _order(sequence: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 MAX_NOTE_LENGTH = 200
-_COMMANDS = {"air": "campaign"} | dict.fromkeys(("encoders", "ball", "club", "valves"), "calibrate")
-"""Commands that a form may run, by name; aerodynamics of balls come from files, at the command line."""
-_OPTION = re.compile(r"[a-z][a-z-]{0,40}")
+_ANGLES = {"loft-deg": 1, "lie-deg": 1, "angle-uncertainty-deg": 1}
+_FORMS = {
+    "air": {"temperature": 1, "pressure": 1, "humidity": 1},
+    "encoders": {"from-pose": 3, "uncertainty-deg": 1, "counts": 3, "sign": 3},
+    "ball": {"x": 1, "y": 1, "uncertainty-mm": 1},
+    "club": {"length": 1, "length-uncertainty-mm": 1, **_ANGLES},
+    "valves": {"centre": 3, "dead-band": 3, "uncertainty": 1},
+}
+"""Options that a form may set, and how many numbers each takes; aerodynamics come from files: no form."""
 
 
 def form_arguments(form: str, body: dict[str, Any], by: str) -> list[str]:
     """Return the command's arguments for the values in `body`, entered `by` a person.
 
-    Each of its `numbers` is an option with its value or values.
+    Each of its `numbers` is an option of the form with its value or values.
 
     Raises:
         UnknownName: there is no such form.
-        InvalidBody: a value is no number or text.
+        InvalidBody: a value is no number or text, or the form has no such option.
     """
-    if form not in _COMMANDS:
+    if form not in _FORMS:
         raise UnknownName("form")
+    lasting = form != "air"
+    allowed = _FORMS[form] | ({"expires-days": 1} if lasting else {})
     if not isinstance(numbers := body.get("numbers"), dict):
         raise InvalidBody("numbers: an object")
-    found = [_COMMANDS[form], form, f"--by={by}"]
+    found = ["calibrate" if lasting else "campaign", form, f"--by={by}"]
     for option, value in numbers.items():
-        if not _OPTION.fullmatch(option):
-            raise InvalidBody("numbers: names of options")
         given = value if isinstance(value, list) else [value]
+        if allowed.get(option) != len(given):
+            raise InvalidBody(f"numbers: {', '.join(f'{name} ({n})' for name, n in allowed.items())}")
         for one in given:
             number_in({option: one}, option)
         found += [f"--{option}", *map(repr, given)]

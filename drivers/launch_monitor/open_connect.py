@@ -194,6 +194,11 @@ class _Figures:
             return f"{key} of this device: {self._quirk.reason}"
         return _NOT_MEASURED if value == 0.0 and not measured_zero else value
 
+    def is_coded(self, key: str) -> bool:
+        """Return whether the ball's field `key` has a value that states no measurement."""
+        codes = {} if self._quirk is None else self._quirk.codes
+        return _number(self.ball.get(key.lower())) in codes.get(key.lower(), ())
+
     def _kept(self, name: str, value: float | str) -> float | None:
         if isinstance(value, str):
             self.absent.append((name, value))
@@ -235,12 +240,15 @@ def _spin(figures: _Figures) -> tuple[float | str, float | str]:
     """Return spin (rad/s) and axis (rad), each replaced by a reason if unknown.
 
     Total spin and axis take precedence over the components, which may disagree, as in the specification's own
-    example; an axis of 0 beside a side spin does not. No ball leaves a club without spin: 0 rpm means that
+    example; an axis of 0 with a side spin does not. No ball leaves a club without spin: 0 rpm means that
     spin was not measured.
     """
     ball, value = figures.ball, figures.value
     total, axis = value(ball, "TotalSpin", _SPIN), value(ball, "SpinAxis", _AZIMUTH)
     back, side = value(ball, "BackSpin", _BACK_SPIN), value(ball, "SideSpin", _BACK_SPIN)
+    for key, read in (("TotalSpin", total), ("BackSpin", back)):
+        if figures.is_coded(key):
+            return read, read
     if not isinstance(total, str) and total == 0.0:
         total = "0 rpm: not measured"
     if isinstance(back, float) and isinstance(side, float) and (back or side):

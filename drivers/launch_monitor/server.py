@@ -198,7 +198,8 @@ class LaunchMonitorServer:
         with self._lock:
             self._player = write_player(club)
         if self._thread is not None:
-            self._events.call_soon_threadsafe(self._greet, tuple(self._clients))
+            with suppress(RuntimeError):  # the thread has failed and closed its loop
+                self._events.call_soon_threadsafe(self._greet, tuple(self._clients))
 
     def close(self) -> None:
         """End the round at all monitors, close all connections and stop the thread.
@@ -219,12 +220,14 @@ class LaunchMonitorServer:
 
     async def _serve(self, listener: socket.socket) -> None:
         server = await asyncio.start_server(self._attend, sock=listener)
-        while not self._stop.is_set():
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._stop.wait(), _CHECK)
-            self._check_silence()
-        self._listener = None
-        server.close()
+        try:
+            while not self._stop.is_set():
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._stop.wait(), _CHECK)
+                self._check_silence()
+        finally:
+            self._listener = None
+            server.close()
         for client in self._clients:
             client.writer.write(write_ended() if self._player else b"")
             if client.writer.transport.get_write_buffer_size():  # it does not read
@@ -243,6 +246,10 @@ class LaunchMonitorServer:
             await asyncio.wait_for(self._room.acquire(), _CHECK)
         except TimeoutError:
             self._reject(writer, f"connection from {address}: {MAX_CONNECTIONS} are connected")
+            return
+        if self._stop.is_set():  # nothing closes a client that comes now
+            writer.transport.abort()
+            self._room.release()
             return
         _end_if_unreachable(writer.get_extra_info("socket"), self.settings.silence)
         client = _Client(writer, address, Conversation(self._clock(), self._measured))
@@ -274,6 +281,9 @@ class LaunchMonitorServer:
     def _greet(self, clients: Sequence[_Client]) -> None:
         """Send the player now, and the readiness `_APART` later."""
         for client in clients:
+            if client.writer.transport.get_write_buffer_size() > _MAX_UNREAD:
+                client.writer.transport.abort()
+                continue
             client.writer.write(self._player)
             self._events.call_later(_APART, client.writer.write, write_ready())
 

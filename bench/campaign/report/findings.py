@@ -265,7 +265,7 @@ def _effects(names: Sequence[str], pairs: Sequence[Pair]) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, found, strict=True)}
 
 
-SCHEMA = 5
+SCHEMA = 6
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 Confirmatory: block effects are fixed (`bench.campaign.statistics.block_model`). The control ball corrects
 drift if the plan demands it; covariates of the plan adjust for the delivery. Balls are random where a model
-had more than one, and each level has its own variance (`bench.campaign.statistics.unequal_variances`): a
+had more than one, and each level has its own variance (`bench.campaign.statistics.unequal_variances`), from
+three balls or shots of each on: a
 statement on a difference holds for balls that were not hit, or for "this ball" where there was one only. All
 pairs of a section err together with the plan's level (the distribution of the largest |t|, single step: a
 pair differs exactly if its joint interval leaves out 0); two one-sided tests (TOST), adjusted by Holm, say
@@ -153,6 +154,8 @@ class Comparison:
     covariates: Covariates | None
     scatter: tuple[ScatterRatio, ...]
     """Ratios of the levels' standard deviations."""
+    pooled: bool
+    """Whether all levels are taken to scatter alike."""
 
 
 @dataclass(frozen=True)
@@ -320,6 +323,7 @@ def _compared(
             slope_error,
             _explained(plan, data, fit, count),
             _scatter(plan, data, fit, names),
+            errors.pooled,
         ),
         kept,
     )

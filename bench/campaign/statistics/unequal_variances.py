@@ -58,7 +58,7 @@ _OWN_SCATTER = 10
 """Mountings of each club from which on each club's scatter is estimated for itself."""
 
 _OWN_VARIANCE = 3
-"""Units of each level from which on it has its own variance: by two, levels that are alike mostly differ."""
+"""Units of most levels from which on each has its own variance: by two, alike levels are often told apart."""
 
 
 class Units(NamedTuple):
@@ -76,7 +76,8 @@ def are_pooled(units: Units, *, split: bool) -> bool:
     """Return whether all levels are taken to scatter alike; `split`: a unit is a club's mounting."""
     if split:
         return int(units.balls.min()) < _OWN_SCATTER
-    return int(np.bincount(units.level, minlength=len(units.balls)).min()) < _OWN_VARIANCE
+    counts = np.bincount(units.level)
+    return float(np.median(counts[counts > 0])) < _OWN_VARIANCE
 
 
 class UnitErrors(NamedTuple):
@@ -210,7 +211,11 @@ class UnitLayout:
         found = np.bincount(self._units.level, sums**2, minlength=len(self._units.balls))
         inverse = self._inverse(ratio)
         variances = inverse @ found
-        middle = float(np.average(variances, weights=np.maximum(np.bincount(self._level), 1e-9)))
+        middle = float(
+            np.average(
+                variances, weights=np.maximum(np.bincount(self._level, minlength=len(variances)), 1e-9)
+            )
+        )
         positive = np.maximum(variances, 1e-2 * max(middle, 0.0))
         # How sure each would be if all were equal says how much of their differences is chance.
         equal = self._spread_of(self._sums(ratio, np.ones(len(positive))))

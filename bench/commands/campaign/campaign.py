@@ -347,7 +347,7 @@ def air(
             raise BenchError(f"air {name}", f"{value:g}", expected, f"Enter the reading in {unit}.")
     with open_store(address.bench) as store:
         if temperature is not None and pressure is not None and humidity is not None:
-            read = Air(temperature + 273.15, 100.0 * pressure, humidity / 100.0)
+            read = Air(round(temperature + 273.15, 6), 100.0 * pressure, humidity / 100.0)
             figures = read.temperature, read.pressure, read.relative_humidity
             reading = AirReading(bench, datetime.now(UTC), *figures, by or user_name())
             store.add_air(reading)

@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.records.telemetry.cycle_record import CYCLE
-from drivers.base.native import NativeCall
 from drivers.base.shared_memory import MappedSlots, SharedMemoryError, SharedRecord
+
+if TYPE_CHECKING:
+    from drivers.base.native import NativeCall
 
 CAPACITY = 16384
 """Min number of records."""
@@ -66,6 +68,7 @@ class RingWriter:
     def native_call(self) -> NativeCall:
         """Return the native function that copies the CYCLE at an address straight into the ring."""
         from drivers.base.compiled_slots import put_native  # here, as readers need no compiler
+        from drivers.base.native import NativeCall
 
         return NativeCall(put_native.address, self._slots.block.ctypes.data)
 

@@ -35,7 +35,7 @@ const FORMS = [
     name: "air", title: "Air at the bench",
     steps: [
       "Read temperature, humidity and station pressure (not reduced to sea level) at the bench.",
-      "Shots on hardware use the reading from now on, for as long as their plan allows.",
+      "Shots on hardware use the reading for one hour.",
     ],
     fields: [
       { name: "temperature", label: "Temperature", unit: "°C" },

@@ -20,7 +20,7 @@ ALLOWED = {
     "bench.supervisor.loop_process": CALCULATES,
     "bench.supervisor.recorder": CALCULATES | {"pyarrow"},
     "bench.supervisor.publisher": {"pyarrow", "zenoh"},
-    "bench.supervisor.launch_monitor": CALCULATES,
+    "bench.supervisor.launch_monitor": CALCULATES | {"asyncio"},
 }
 """Modules of the processes with the heavy packages that each may import; numba imports the top of scipy.
 

@@ -26,7 +26,7 @@ from bench.web import command_line
 from bench.web.answers import InvalidBody
 from bench.web.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
 from bench.web.page_server import run_outcome
-from bench.web.start_service import PlanCatalogue, form_arguments
+from bench.web.start_service import _FORMS, PlanCatalogue, form_arguments
 from tests.bench.fake_bench_service import FakeDesk, running_plane
 from tests.bench.web.conftest import publishing
 from tests.bench.web.noting_program import NotingProgram
@@ -298,6 +298,7 @@ def test_forms_of_browser_match_command_options() -> None:
     for name, text in forms.items():
         fields = set(re.findall(r'{ name: "([^"]+)"', text))
         assert fields, name
+        assert fields == set(_FORMS[name]), name
         assert fields < _options(f"{'campaign' if name == 'air' else 'calibrate'} {name}"), name
 
 
@@ -325,6 +326,9 @@ def test_form_arguments_match_command_options() -> None:
         {"numbers": BALL | {"x": [1, 2, float("nan")]}},
         {"numbers": BALL | {"x=1 --y": 1}},
         {"numbers": BALL | {"-c": 1}},
+        {"numbers": BALL | {"help": []}},
+        {"numbers": BALL | {"by": 7}},
+        {"numbers": BALL | {"x": [1, 2]}},
         {"numbers": [1]},
         {"numbers": None},
         {"method": "a\nb"},

@@ -370,6 +370,17 @@ def test_server_close_releases_thread_and_sockets(clock: Clock) -> None:
     assert not [thread for thread in threading.enumerate() if "launch" in thread.name]
 
 
+def test_server_close_ends_during_connection(clock: Clock) -> None:
+    for _ in range(20):
+        server = LaunchMonitorServer(LaunchMonitorSettings(), port=0, clock=clock)
+        server.open()
+        with socket.create_connection(server.address), socket.create_connection(server.address):
+            closing = threading.Thread(target=server.close)
+            closing.start()
+            closing.join(10.0)
+            assert not closing.is_alive()
+
+
 def test_server_port_in_use_is_refused(server: LaunchMonitorServer) -> None:
     second = LaunchMonitorServer(LaunchMonitorSettings(), port=server.address[1])
     with pytest.raises(DriverError, match=r"Address already in use.*launch_monitor\.port"):

@@ -588,7 +588,7 @@ def test_live_shots_time_is_begin_of_swing(plan: CampaignPlan, record: tuple[Swi
     swing, launch = record
     waited = np.concatenate([np.repeat(swing.cycles[:1], 3), swing.cycles])
     waited["time"][:3] -= (9.0, 8.0, 7.0)
-    waited["state"][:3] = State.ARMED
+    waited["state"] = np.repeat([State.ARMED, State.SWINGING], [3, len(swing.cycles)])
     source = shots_of(plan, StandingBench(), simulated=False, monitored=True)
     shot = source._taken(a_step(), 1, 1, swing._replace(cycles=waited), reported(launch, None)).shot
     assert shot.time_utc == swing.time_utc + timedelta(seconds=9.0)

@@ -96,7 +96,7 @@ def test_simulated_shots_monitor_faults_exclude_shot(
     assert misread.shot.reason
     assert misread.shot.ball_speed_mps is not None  # kept, and not counted
     assert (misread.shot.carry_m, misread.shot.launch_source) == (None, "simulated")
-    source._monitor = replace(source._monitor, misread=0.0, double=1.0)
+    source._monitor = replace(source._monitor, misread=0.0, double=1.0, speed_noise=0.001)
     assert "2 different launches" in _take(source, plan, 7).shot.reason
     source._monitor = replace(source._monitor, double=0.0)
     clean = _take(source, plan, 7).shot
@@ -131,7 +131,7 @@ def test_hear_monitor_faults_return_reason() -> None:
     assert heard(replace(QUIET, dropped=(3,)), 3) == (None, UNREPORTED)
     assert heard(replace(QUIET, dropped=(3,)), 4).reason == ""
     assert heard(replace(QUIET, missing=1.0)) == (None, UNREPORTED)
-    assert "2 different launches" in heard(replace(QUIET, double=1.0)).reason
+    assert "2 different launches" in heard(replace(QUIET, double=1.0, speed_noise=0.001)).reason
     assert heard(replace(QUIET, repeated=1.0)).reason == ""  # sent again, not measured again
     assert heard(replace(QUIET, ghost=1.0)).reason == ""  # half a minute later: nobody's
     no_spin = heard(replace(QUIET, no_spin=1.0))

@@ -144,6 +144,19 @@ def test_analyse_two_shots_of_each_alike_ball_rarely_differ(plan: CampaignPlan) 
     assert wrong <= 8  # 1 in 1,000 by chance at 5 %; 35 with a variance of its own for each ball
 
 
+@pytest.mark.parametrize("kept", [0, 2])
+def test_analyse_level_with_few_valid_shots_leaves_variances_of_others(plan: CampaignPlan, kept: int) -> None:
+    names = ("a", "b", "q", "z")
+    balls = {name: replace(next(iter(plan.balls.values())), name=name) for name in names}
+    four = replace(plan, balls=balls, design=replace(plan.design, balls=names, blocks=12))
+    every = campaign_shots(four, Truth(drift=0.0), 3)
+    left_out = [shot.shot for shot in every if shot.ball == "z" and shot.role == "test"][kept:]
+    shots = [replace(s, status=ShotStatus.EXCLUDED, reason="x") if s.shot in left_out else s for s in every]
+    result = analyse(four, shots, 1, "").confirmatory
+    assert result is not None
+    assert not result.pooled
+
+
 def test_analyse_verdict_follows_difference_and_shot_count(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=4))
     assert _verdict(plan, Truth(sd=2.0, difference=6.0), 1) == "different"

@@ -420,6 +420,11 @@ def test_campaign_air_reading_is_stored_and_shown(call: Call) -> None:
     assert shown.endswith("by Ann\n")
 
 
+def test_campaign_air_coldest_reading_is_stored(call: Call) -> None:
+    told = call("air", "--temperature", "-40", "--pressure", "1008.2", "--humidity", "40")
+    assert told.exit_code == ExitCode.OK, told.output
+
+
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [

@@ -266,7 +266,11 @@ def test_calibrate_encoders_stores_device_presets(golfbench: Run, tmp_path: Path
 @pytest.mark.parametrize(
     ("arguments", "code", "texts"),
     [
-        (["ball", "--x", "0.6", "--y", "-1.5", "--uncertainty-mm", "1"], 2, ["0.355 m from", "plant.site"]),
+        (
+            ["ball", "--x", "0.6", "--y", "-1.5", "--uncertainty-mm", "1"],
+            2,
+            ["configured as (0.25, -1.56) m in plant.site", "0.15 m from it"],
+        ),
         ([*BALL, "--by", " "], 2, ["--by"]),
         ([*CLUB, "hickory"], 2, ['"hickory"', "driver, thesis, iron7"]),
         (["encoders", "--uncertainty-deg", "1"], 2, ["no measurement", "Give one of the two"]),

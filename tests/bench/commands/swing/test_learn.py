@@ -18,7 +18,7 @@ def figures(*values: float | None) -> Any:
 
 
 def attempt(cause: Cause, *values: float | None) -> Any:
-    return SimpleNamespace(cause=cause, figures=figures(*values), path_error=nan, saturated=0.12)
+    return SimpleNamespace(cause=cause, figures=figures(*values), saturated=0.12)
 
 
 def test_learn_table_with_causes_shows_complete_figures() -> None:
@@ -31,6 +31,7 @@ def test_learn_table_with_causes_shows_complete_figures() -> None:
         chosen=0,
         within=False,
         used=12,
+        path_error=lambda attempt: nan,
     )
     console = Console(width=80, file=StringIO(), record=True)
     console.print(_table(result, "iron"))
