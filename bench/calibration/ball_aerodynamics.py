@@ -172,6 +172,8 @@ _MODEL = Aerodynamics.LIBGOLF
 """Coefficients that the factors are fitted on."""
 _ROUNDS = 2
 """Fits, each with the covariances at the solution before it."""
+_MIN_FACTOR, _MAX_FACTOR = 0.2, 2.9
+"""Bounds of both factors in a fit: differences are taken beyond them, within the bounds of `Ball`."""
 _DIFFERENCE = 1e-3
 """Relative step of the factors in derivatives."""
 _LAUNCH_STEPS = {"speed": 0.05, "launch_angle": 0.001, "spin": 5.0}
@@ -298,10 +300,6 @@ def _dof(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> int:
     if any(not np.all(scatter.of_observations(flight) > 0.0) for flight in flights):
         raise ValueError("a scatter of 0: each observation needs a standard uncertainty above 0")
     return dof
-
-
-_MIN_FACTOR, _MAX_FACTOR = 0.2, 2.9
-"""Bounds of both factors in a fit; a step of its differences beyond them is a ball's still."""
 
 
 class _Fit:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, Reaction, State
-from bench.network.bench_service import ArmingBlock, BenchStatus, LaunchMonitorStatus
+from bench.network.bench_service import ArmingBlock, BenchStatus, LaunchMonitorStatus, MonitorStatus
 
 MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})
 """States in which the robot moves or may move."""
@@ -176,12 +176,15 @@ def shut_off_words(position: bool | None) -> str:
 def launch_monitor_text(link: LaunchMonitorStatus) -> str:
     """Return which monitors are connected, or when one that connects per shot was seen."""
     if link["presence"] == "connected":
-        state: dict[bool | None, str] = {False: " (reports itself not ready)"}
-        named = ((one["device"] or one["address"]) + state.get(one["ready"], "") for one in link["monitors"])
-        return ", ".join(named) or "not connected"
+        return ", ".join(map(_monitor_text, link["monitors"])) or "not connected"
     if (seen := link["seen_s"]) is None:
         return "connects per shot, not seen so far"
     return f"connects per shot, seen within {max(1, ceil(seen / 60.0))} min"
+
+
+def _monitor_text(monitor: MonitorStatus) -> str:
+    ready = " (reports itself not ready)" if monitor["ready"] is False else ""
+    return f"{monitor['device'] or monitor['address']}{ready}"
 
 
 def absent_monitor_text(link: LaunchMonitorStatus) -> str:

@@ -196,8 +196,7 @@ class _Figures:
 
     def is_coded(self, key: str) -> bool:
         """Return whether the ball's field `key` has a value that states no measurement."""
-        codes = {} if self._quirk is None else self._quirk.codes
-        return _number(self.ball.get(key.lower())) in codes.get(key.lower(), ())
+        return self._quirk is not None and self._quirk.is_code(key, self.ball.get(key.lower()))
 
     def _kept(self, name: str, value: float | str) -> float | None:
         if isinstance(value, str):
@@ -335,7 +334,11 @@ class MonitorQuirk(NamedTuple):
         """Return whether field `key`, of club or ball, holds no measurement with this `value`."""
         name = key.lower()
         ignored = name in self.ignore or (of_club and f"club.{name}" in self.ignore)
-        return ignored or _number(value) in self.codes.get(name, ())
+        return ignored or self.is_code(key, value)
+
+    def is_code(self, key: str, value: Any) -> bool:
+        """Return whether this `value` of field `key` states no measurement."""
+        return _number(value) in self.codes.get(key.lower(), ())
 
 
 @cache

@@ -2,14 +2,14 @@
 
 Confirmatory: block effects are fixed (`bench.campaign.statistics.block_model`). The control ball corrects
 drift if the plan demands it; covariates of the plan adjust for the delivery. Balls are random where a model
-had more than one, and each level has its own variance (`bench.campaign.statistics.unequal_variances`), from
-three balls or shots of each on: a
-statement on a difference holds for balls that were not hit, or for "this ball" where there was one only. All
-pairs of a section err together with the plan's level (the distribution of the largest |t|, single step: a
-pair differs exactly if its joint interval leaves out 0); two one-sided tests (TOST), adjusted by Holm, say
-"the same". Before the plan's end an interim analysis spends its share of the error rate
-(`bench.campaign.statistics.sample_size`). In a split-plot the unit for clubs is the mounting and, within each
-club, for balls the shot (`bench.campaign.statistics.block_model`).
+had more than one, and each level has its own variance, or all share one if most have fewer than three balls
+or shots (`bench.campaign.statistics.unequal_variances`): a statement on a difference holds for balls that
+were not hit, or for "this ball" where there was one only. All pairs of a section err together with the plan's
+level (the distribution of the largest |t|, single step: a pair differs exactly if its joint interval leaves
+out 0); two one-sided tests (TOST), adjusted by Holm, say "the same". Before the plan's end an interim
+analysis spends its share of the error rate (`bench.campaign.statistics.sample_size`). In a split-plot the
+unit for clubs is the mounting and, within each club, for balls the shot
+(`bench.campaign.statistics.block_model`).
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ _OWN_SCATTER = 10
 """Mountings of each club from which on each club's scatter is estimated for itself."""
 
 _OWN_VARIANCE = 3
-"""Units of most levels from which on each has its own variance: by two, alike levels are often told apart."""
+"""Median number of units from which on each level has its own variance; two lead to false differences."""
 
 
 class Units(NamedTuple):

@@ -311,7 +311,7 @@ _AIR = {
     "--pressure": (200.0, 1200.0, "hPa"),
     "--humidity": (1.0, 100.0, "%"),
 }
-"""Bounds of a reading of the air; a humidity below 1 is a share in place of per cent."""
+"""Bounds of a reading of the air, those of `sim.ball.Air`; a humidity below 1 is a share, not per cent."""
 
 
 @app.command()
