@@ -85,7 +85,7 @@ def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
 def change_state(s: Any, parameters: Any, state: State, time: float) -> bool:
     """Go to `state` along TRANSITIONS; else stop with Cause.EXCEPTION in this tick and return False."""
     p = parameters.control[0]
-    if s.state < len(p.transitions) and p.transitions[s.state, state.value] != 0:
+    if s.state < len(p.transitions) and p.transitions[s.state, int(state)] != 0:
         s.state, s.state_since = state, time
         if state in (State.ESTOP, State.FAULT, State.ACCESS):
             s.reset_pressed = -np.inf  # an earlier press does not cover the present cause

@@ -13,7 +13,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core import event
+from numba.core import event, types
 from numba.core.caching import IndexDataCacheFile
 
 from drivers.base.compile_report import progress
@@ -74,6 +74,10 @@ class _KeptCode(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
         self._save_data(name, data)
         self._save_index(self._load_index() | {key: name})
 
+    def has_entries(self) -> bool:
+        """Return whether there is machine code for any signature."""
+        return bool(self._load_index())
+
     def _load_index(self) -> Any:
         try:
             return super()._load_index()
@@ -91,9 +95,40 @@ def keep_code(made: Any, module: str) -> None:
     """Keep the machine code of a function of `module` that numba has `made`, in the folder of its version."""
     numba.config.CACHE_DIR = _use_cache(module)  # read when caching is enabled
     made.enable_caching()
-    kept = getattr(getattr(made, "_cache", None), "_cache_file", None)
+    kept = _kept_code(made)
     if kept is not None:
         kept.__class__ = _KeptCode
+
+
+def _kept_code(made: Any) -> Any:
+    return getattr(getattr(made, "_cache", None), "_cache_file", None)
+
+
+def is_kept(function: Any) -> bool:
+    """Return whether machine code of the `compiled` function is on disk."""
+    kept = _kept_code(function)
+    return kept is not None and kept.has_entries()
+
+
+def compile_for(function: Any, *arguments: object) -> None:
+    """Compile the `compiled` function for arguments of the types of `arguments`, without calling it."""
+    function.compile(tuple(map(numba.typeof, arguments)))
+
+
+def _general(kind: Any) -> Any:
+    """Return the numba type that an argument of the type `kind` is passed as: an integer as int64."""
+    is_integer = isinstance(kind, types.Integer | types.IntEnumMember) and kind != types.uint64
+    return types.int64 if is_integer else kind
+
+
+def _share_versions(made: Any) -> None:
+    """Compile one version of a function for all integers: each constant argument would get a version."""
+    find = made.get_call_template
+
+    def find_general(args: Any, keywords: Any) -> Any:
+        return find(tuple(map(_general, args)), {name: _general(kind) for name, kind in keywords.items()})
+
+    made.get_call_template = find_general
 
 
 def compiled(function: _Function) -> _Function:
@@ -103,8 +138,9 @@ def compiled(function: _Function) -> _Function:
     stay NaN so that the envelope sees it.
     """
     progress.known += 1
-    made = numba.njit(nogil=True, error_model="numpy")(function)
+    made = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     if not numba.config.DISABLE_JIT:
+        _share_versions(made)
         keep_code(made, function.__module__)
     return cast(_Function, made)
 

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from enum import IntEnum
 from pathlib import Path
 
 import numba
@@ -14,7 +15,7 @@ import pytest
 
 from drivers.base import compile_report
 from drivers.base.compile_report import CompileProgress, announce_compilation
-from drivers.base.compiled import _KeptCode
+from drivers.base.compiled import _KeptCode, compiled
 
 TOP = Path(__file__).parents[3]
 
@@ -97,6 +98,26 @@ def test_compiled_changed_enum_recompiles(copy: Path) -> None:
     lifecycle.write_text(lifecycle.read_text().replace("    SUPPORT = 8\n", "    SUPPORT = 88\n"))
     assert run(copy) == (88, 2)
     assert kept.exists()
+
+
+class Place(IntEnum):
+    TOP = 7
+
+
+@numba.njit  # type: ignore[untyped-decorator]  # numba has no types
+def _sum(number: int) -> int:
+    return _twice(1) + _twice(2) + _twice(Place.TOP) + _twice(number)
+
+
+@compiled
+def _twice(number: int) -> int:
+    return 2 * number
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_compiled_calls_with_constants_and_enums_share_one_version() -> None:
+    assert _sum(50) == 120
+    assert len(_twice.signatures) == 1  # type: ignore[attr-defined]
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
