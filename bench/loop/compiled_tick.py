@@ -76,6 +76,13 @@ _BLOCK = _CLOCK + 2
 """Words of the block."""
 
 
+def empty_parameters() -> ControlParameters:
+    """Return parameters of the types that a tick takes, without contents: for compilation."""
+    kinds = _TYPES[len(ControlState._fields) :][: len(ControlParameters._fields)]
+    made = ControlParameters(*(new_record(kind) if kind.names else np.zeros((1, 3), kind) for kind in kinds))
+    return made._replace(phase=np.zeros(1, np.uint8))
+
+
 @compiled
 def _take_truth(truth: Any, cycle: Any) -> None:
     """Copy a TRUTH record into the fields of the same names."""

@@ -15,9 +15,10 @@ from bench.control.estimate.residual_monitor import BRAKING, note_deviations, no
 from bench.control.moves.references import charging
 from bench.control.step import step
 from bench.control.step_records import ControlParameters, ControlState, new_control_state
+from bench.loop.compile_ahead import compile_ahead
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compile_for, compiled, new_record
 from drivers.base.records import COMMAND, READINGS, pack_command
 from sim.faults import (
     LEASE,
@@ -156,6 +157,9 @@ class Lockstep:
         self.tick = 0
         if faults:
             self.break_with(faults)
+        with compile_ahead() as compiling:
+            if compiling:
+                compile_for(advance, *plant.records, self.plant_state, self.command)
 
     @property
     def period(self) -> float:

@@ -31,6 +31,7 @@ from bench.base.errors import BenchError, Refused
 from bench.base.lifecycle import Answer, Phase, Request, State
 from bench.config import Configuration
 from bench.control.settings import build_controller, with_correction
+from bench.loop.compile_ahead import compile_ahead
 from bench.loop.loop import Cycle
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.telemetry.encoder_preset import Shifts, moved_zero, write_shifts
@@ -227,7 +228,8 @@ class LoopProcess:
 
     def _compile(self) -> None:
         """Run one unrecorded tick to compile all code."""
-        spare = Cycle(self.driver, self.parameters, lambda _: None, name="warm-up", state=State.STARTING)
+        with compile_ahead():
+            spare = Cycle(self.driver, self.parameters, lambda _: None, name="warm-up", state=State.STARTING)
         first = 0.0 if self.paced else wall.monotonic()
         spare.run_tick(first)
         spare.latch_exception(first)  # a tick that fails must not wait for a compiler either
