@@ -23,11 +23,9 @@ import pytest
 from bench.base.address import free_port
 from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
 from bench.base.interrupt import Terminated
-from bench.base.lifecycle import State
 from bench.commands.cli import accept_any_text, command_line, main
 from drivers.base import DriverError
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
-from tests.sampling import release_except
 
 TOP = Path(__file__).resolve().parents[3]
 HEAVY = (
@@ -47,11 +45,6 @@ BAD_KEY = BenchError("config.toml supply.presure", "an unknown key", "pressure",
 UNSAFE = Refused("hook.toml follow_through", "78 J at the stop", "at most 40 J", "Lower the speed.")
 
 
-def _golfbench(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "bench", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
-
-
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
     """Run a command that raises the given error, and return the exit code."""
@@ -69,12 +62,25 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
     return run
 
 
-def test_help_lists_commands_and_exit_codes() -> None:
-    answer = _golfbench("--help")
-    assert answer.returncode == 0
-    assert "doctor" in answer.stdout
+@pytest.fixture
+def ended(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Run a command line in this process; return the exit code, and what stands on both outputs."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        assert isinstance(end.value.code, int)
+        return end.value.code, *capsys.readouterr()
+
+    return run
+
+
+def test_help_lists_commands_and_exit_codes(ended: Callable[..., tuple[int, str, str]]) -> None:
+    exit_code, out, _ = ended("--help")
+    assert exit_code == 0
+    assert "doctor" in out
     for code in ExitCode:
-        assert f" {code.value}  " in answer.stdout
+        assert f" {code.value}  " in out
 
 
 def test_help_loads_no_heavy_packages() -> None:
@@ -103,81 +109,49 @@ NO_CLIENTS = frozenset(
 """Packages that a command of a running bench does without: who stops a robot does not wait for them."""
 
 
-COMMANDS = (
-    *(
-        "stop",
-        "estop",
-        "status",
-        "status --json",
-        "home",
-        "arm",
-        "disarm",
-        "access",
-        "access --end",
-        "tee",
-        "reset",
-    ),
-    *("swing", "swing --no-wait", "lease take", "lease renew", "lease release", "lease show"),
+DAY = (
+    *("lease take", "lease renew", "lease show", "status", "status --json", "reset", "access"),
+    *("access --end", "home", "arm", "tee", "swing --no-wait", "arm", "swing", "arm", "disarm"),
+    *("stop", "reset", "estop", "reset", "lease release"),
 )
 
 
-@pytest.mark.parametrize("command", release_except({"stop", "status", "swing", "lease take"}, COMMANDS))
-def test_operate_command_loads_no_model_packages(command: str, tmp_path: Path) -> None:
-    """With a bench that answers everything and swings at once."""
+def _loaded(folder: Path, *lines: str, port: int | None = None) -> tuple[list[int], set[str]]:
+    """Run command lines in one process; return their exit codes and the packages it has loaded."""
     code = (
-        "import sys; from bench.base.interrupt import leave; import bench.commands.cli\n"
-        "def show(code): print(*sys.modules); leave(code)\n"
-        "bench.commands.cli.leave = show; bench.commands.cli.main(sys.argv[1:])"
+        "import sys; import bench.commands.cli; codes = []\n"
+        "bench.commands.cli.leave = codes.append\n"
+        "for line in sys.argv[2:]: bench.commands.cli.main(['--config', sys.argv[1], *line.split()])\n"
+        "print('\\n', *codes); print(*sys.modules); from bench.base.interrupt import leave; leave(0)"
     )
-    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
-    with running_plane(FakeDesk(State.ARMED), loopback_configuration(port := free_port())):
-        file = tmp_path / "bench.toml"
-        file.write_text(f'base = "shipped"\n[network]\nendpoint = "tcp/127.0.0.1:{port}"\n')
-        lease = [sys.executable, "-c", code, "--config", str(file), "lease", "take"]
-        if not command.startswith("lease take"):
-            subprocess.run(lease, env=environment, capture_output=True, check=True)
-        done = subprocess.run(
-            [sys.executable, "-c", code, "--config", str(file), *command.split()],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
+    file = folder / "bench.toml"
+    network = f'[network]\nendpoint = "tcp/127.0.0.1:{port or free_port()}"\n'
+    file.write_text(f'base = "shipped"\n[bench]\ndata_dir = "{folder}"\n{network}')
+    command = [sys.executable, "-c", code, str(file), *lines]
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(folder)}
+    printed = subprocess.check_output(command, env=environment, cwd=folder, text=True).splitlines()
+    return [int(n) for n in printed[-2].split()], {name.partition(".")[0] for name in printed[-1].split()}
+
+
+def test_operate_commands_load_no_model_packages(tmp_path: Path) -> None:
+    """With a bench that answers everything and swings at once."""
+    with running_plane(FakeDesk(), loopback_configuration(port := free_port())):
+        codes, loaded = _loaded(tmp_path, *DAY, port=port)
+    assert codes == [ExitCode.OK] * len(DAY)
     assert "zenoh" in loaded
     assert not loaded & NO_CLIENTS
 
 
-@pytest.mark.parametrize("command", ["campaign list", "campaign stop nothing", "campaign watch"])
-def test_campaign_command_loads_no_model_packages(command: str, tmp_path: Path) -> None:
-    code = (
-        "import sys; import bench.commands.cli\n"
-        "def show(code): print(*sys.modules)\n"
-        "bench.commands.cli.leave = show; bench.commands.cli.main(sys.argv[1:])"
-    )
-    file = tmp_path / "bench.toml"
-    network = f'[network]\nendpoint = "tcp/127.0.0.1:{free_port()}"\n'
-    file.write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n{network}')
-    done = subprocess.run(
-        [sys.executable, "-c", code, "--config", str(file), *command.split()],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
-    assert loaded & {"sqlalchemy", "zenoh"}
+def test_campaign_commands_load_no_model_packages(tmp_path: Path) -> None:
+    codes, loaded = _loaded(tmp_path, "campaign list", "campaign stop nothing", "campaign watch")
+    assert codes[0] == ExitCode.OK
+    assert loaded >= {"sqlalchemy", "zenoh"}
     assert not loaded & (NO_CLIENTS - {"pydantic", "sqlalchemy"})
 
 
-@pytest.mark.parametrize("command", [["profile", "list"], ["campaign", "air"]])
-def test_simulation_free_command_loads_no_compiler(command: list[str], tmp_path: Path) -> None:
-    code = (
-        "import sys; import bench.commands.cli\n"
-        "bench.commands.cli.leave = lambda code: print(*sys.modules)\n"
-        f"bench.commands.cli.main({command})"
-    )
-    printed = subprocess.check_output([sys.executable, "-c", code], text=True, cwd=tmp_path)
-    loaded = {name.partition(".")[0] for name in printed.splitlines()[-1].split()}
+def test_simulation_free_commands_load_no_compiler(tmp_path: Path) -> None:
+    codes, loaded = _loaded(tmp_path, "profile list", "campaign air")
+    assert codes == [ExitCode.OK] * 2
     assert not loaded & {"numba", "scipy", "matplotlib"}
 
 
@@ -222,33 +196,29 @@ def test_help_page_of_80_columns_has_each_option(
     assert [name for p in command.params for name in p.opts if name[0] == "-" and name not in shown] == []
 
 
-def test_version_option_prints_package_version() -> None:
-    assert _golfbench("--version").stdout == f"golfbench {version('golfbench')}\n"
+def test_version_option_prints_package_version(ended: Callable[..., tuple[int, str, str]]) -> None:
+    assert ended("--version")[1] == f"golfbench {version('golfbench')}\n"
 
 
 @pytest.mark.parametrize("arguments", [["dcotor"], ["doctor", "--jsno"], ["--config"], []])
-def test_cli_wrong_usage_exits_with_2(arguments: list[str]) -> None:
-    answer = _golfbench(*arguments)
-    assert answer.returncode == ExitCode.BAD_INPUT
-    assert "Traceback" not in answer.stderr
+def test_cli_wrong_usage_exits_with_2(
+    arguments: list[str], ended: Callable[..., tuple[int, str, str]]
+) -> None:
+    code, _, err = ended(*arguments)
+    assert code == ExitCode.BAD_INPUT
+    assert "Traceback" not in err
 
 
-def test_cli_wrong_choice_lists_choices_alone() -> None:
-    err = _golfbench("export", "--format", "parquet", "a").stderr
+def test_cli_wrong_choice_lists_choices_alone(ended: Callable[..., tuple[int, str, str]]) -> None:
+    _, _, err = ended("export", "--format", "parquet", "a")
     assert "is not one of 'csv'" in err
     assert "Value error" not in err
 
 
 def test_shell_completion_completes_command_name() -> None:
-    answer = _golfbench(
-        env={
-            **os.environ,
-            "_GOLFBENCH_COMPLETE": "complete_bash",
-            "COMP_WORDS": "golfbench do",
-            "COMP_CWORD": "1",
-        }
-    )
-    assert answer.stdout.split() == ["doctor"]
+    words = {"_GOLFBENCH_COMPLETE": "complete_bash", "COMP_WORDS": "golfbench do", "COMP_CWORD": "1"}
+    command = [sys.executable, "-m", "bench"]
+    assert subprocess.check_output(command, text=True, env=os.environ | words).split() == ["doctor"]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.base.errors import BenchError
@@ -229,16 +229,6 @@ def test_configuration_base_accepts_variant_name(tmp_path: Path) -> None:
     assert load_configuration(path).bench.id == "mine"
 
 
-# Renamed keys ----------------------------------------------------------------------------------------
-
-
-def at(configuration: Configuration, dotted: str) -> Any:
-    found: Any = configuration
-    for part in dotted.split("."):
-        found = getattr(found, part)
-    return found
-
-
 # Mistakes --------------------------------------------------------------------------------------------
 
 
@@ -282,19 +272,17 @@ def test_configuration_each_physical_value_out_of_range_is_refused(value: str, o
 
 
 def test_configuration_negative_control_setting_is_refused(overlay: Overlay) -> None:
-    for keys, value in LEAVES:
-        if keys[0] in {"control", "lifecycle", "homing", "estimator", "envelope"} and isinstance(
-            value, float
-        ):
-            (fault,) = faults(overlay(setting(keys, "-1.0")))
-            assert fault.location.endswith(".".join(keys))
+    sections = {"control", "lifecycle", "homing", "estimator", "envelope"}
+    check_each(overlay, lambda k, v: "-1.0" if k[0] in sections and isinstance(v, float) else None)
 
 
 def test_configuration_misspelt_key_suggests_correct_key(overlay: Overlay) -> None:
-    for keys in [keys for keys, _ in LEAVES if not {"max_following_error", "model", "like"} & {*keys}][::7]:
-        text = setting((*keys[:-1], keys[-1] + "x"), "1.0")
-        (fault,) = faults(overlay(text))
-        assert fault.location.endswith(".".join(keys) + "x")
+    every = [keys for keys, _ in LEAVES if not {"max_following_error", "model", "like"} & {*keys}]
+    path = overlay("\n".join(f"{'.'.join(keys)}x = 1.0" for keys in every))
+    found = {fault.location.removeprefix(f"{path}: "): fault for fault in faults(path)}
+    assert found.keys() == {f"{'.'.join(keys)}x" for keys in every}
+    for keys in every:
+        fault = found[f"{'.'.join(keys)}x"]
         assert fault.found == "an unknown key"
         assert keys[-1].removesuffix("_deg").removesuffix("_hz") in fault.action
 
@@ -527,18 +515,20 @@ VALUES = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(leaf=st.sampled_from(LEAVES), value=VALUES)
-def test_configuration_any_value_loads_or_raises_bench_error(
-    leaf: tuple[tuple[str, ...], Any], value: str, overlay: Overlay
-) -> None:
-    path = overlay(setting(leaf[0], value))
-    refused: list[Exception] = []
-    try:
-        load_configuration(path)
-    except (BenchError, ExceptionGroup) as error:
-        refused = list(error.exceptions) if isinstance(error, ExceptionGroup) else [error]
-    assert all(isinstance(fault, BenchError) and fault.expected and fault.action for fault in refused)
+@pytest.mark.parametrize("examples", [25, pytest.param(500, marks=pytest.mark.release)])
+def test_configuration_any_value_loads_or_raises_bench_error(examples: int, overlay: Overlay) -> None:
+    @settings(max_examples=examples)
+    @given(leaf=st.sampled_from(LEAVES), value=VALUES)
+    def check(leaf: tuple[tuple[str, ...], Any], value: str) -> None:
+        path = overlay(setting(leaf[0], value))
+        refused: list[Exception] = []
+        try:
+            load_configuration(path)
+        except (BenchError, ExceptionGroup) as error:
+            refused = list(error.exceptions) if isinstance(error, ExceptionGroup) else [error]
+        assert all(isinstance(fault, BenchError) and fault.expected and fault.action for fault in refused)
+
+    check()
 
 
 # Faults and the model-based check ----------------------------------------------------------------------
