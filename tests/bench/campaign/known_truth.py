@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cache
 from math import sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -188,6 +189,7 @@ def tally(case: Case, difference: float, campaigns: int, first: int = 0, *, by_s
     return found
 
 
+@cache
 def cases() -> list[Case]:
     """Return all rows."""
     configuration = load_configuration(Path("shipped"))

@@ -33,7 +33,7 @@ from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
 from bench.campaign.report.preview import preview_record, show_preview
 from bench.campaign.run.campaign_control import answer
-from bench.campaign.run.plan_requirements import require_swings
+from bench.campaign.run.plan_requirements import Profiles, require_swings
 from bench.campaign.run.runner import Runner, RunOutcome
 from bench.campaign.run.runner_control import course_of, new_entry
 from bench.campaign.run.shot_source import Watcher
@@ -47,6 +47,8 @@ from bench.store.records import CampaignState, Hit, Prompt, PromptKind, places
 from tests.bench.campaign.run.test_runner import NOW, Scripted
 
 CONFIGURATION = load_configuration(Path("shipped"))
+PROFILES = dict[tuple[tuple[str, ...], tuple[str, ...]], Profiles]()
+"""Assessed once for each swings and clubs of a plan."""
 
 
 class Rig(Scripted):
@@ -100,7 +102,9 @@ class Series:
     def run(
         self, source: Rig, person: Person | None = None, interrupted: Callable[[], bool] = never
     ) -> RunOutcome:
-        profiles = require_swings(self.plan, CONFIGURATION)
+        design = self.plan.design
+        if (used := (design.swings, design.clubs)) not in PROFILES:
+            PROFILES[used] = require_swings(self.plan, CONFIGURATION)
         runner = Runner(
             self.entry,
             self.plan,
@@ -111,7 +115,7 @@ class Series:
             4,
             person or Person(kinds=frozenset({PromptKind.BENCH})),
         )
-        return runner.run(course_of(self.plan, profiles, CONFIGURATION.plant.robot.lie), interrupted)
+        return runner.run(course_of(self.plan, PROFILES[used], CONFIGURATION.plant.robot.lie), interrupted)
 
     @property
     def prompts(self) -> list[Prompt]:

@@ -16,21 +16,22 @@ from sqlalchemy import Engine
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.run import corrections
 from bench.campaign.run.corrections import CampaignCorrections, Drift
-from bench.campaign.run.plan_requirements import require_swings
 from bench.campaign.run.runner_control import new_entry
 from bench.config import database_url, load_configuration
 from bench.learning.learn import LearningProblem, Swinger
 from bench.learning.store import Conditions, Learned, keep, learned_swings
 from bench.store.database import open_database
 from bench.swing.correction import basis_of
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
 from tests.bench.campaign.as_designed import AsDesigned
 
 NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
 CONFIGURATION = load_configuration(Path("shipped"))
 PLAN = load_plan(Path("symmetry"), CONFIGURATION)
-PROFILES = require_swings(PLAN, CONFIGURATION)
-ARM = next(iter(PROFILES))
-PROFILE = PROFILES[ARM]
+ARM = ("default", "driver")
+PROFILE = load_profile(find_profile("default"))
+PROFILES = {ARM: PROFILE}
 SIZE = basis_of(PROFILE).size
 DRIFT = Drift(ARM, "head speed has drifted by +2.0 tolerances")
 ENTRY = new_entry(PLAN, CONFIGURATION, NOW, simulated=True)

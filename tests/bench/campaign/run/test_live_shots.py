@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ from bench.campaign.run.live_shots import LiveShots, require_live
 from bench.campaign.run.plan_requirements import Profiles, require_swings
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
 from bench.campaign.run.shot_source import BlockingCondition, Suspended, Watcher
-from bench.config import database_url, load_configuration
+from bench.config import Configuration, database_url, load_configuration
 from bench.learning.store import learned_swings
 from bench.network.bench_service import ArmingBlock, CommandAnswer
 from bench.network.client import CommandRefused
@@ -253,9 +254,17 @@ def a_step() -> Step:
     return Step(PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
 
 
+@cache
+def shipped() -> tuple[Configuration, CampaignPlan, Profiles]:
+    """Return the shipped configuration, a plan for it, and its profiles, assessed once for all tests."""
+    configuration = load_configuration(Path("shipped"))
+    plan = load_plan(Path("two-balls"), configuration)
+    return configuration, plan, require_swings(plan, configuration)
+
+
 @pytest.fixture
 def plan() -> CampaignPlan:
-    return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
+    return shipped()[1]
 
 
 def with_free_air(profiles: Profiles) -> Profiles:
@@ -274,8 +283,7 @@ def shots_of(
     planned: bool = True,
 ) -> LiveShots:
     """Return shots of `bench`; if not `planned`, its profiles leave the air at the address as it comes."""
-    configuration = load_configuration(Path("shipped"))
-    profiles = require_swings(plan, configuration)
+    configuration, _, profiles = shipped()
     if not planned:
         profiles = with_free_air(profiles)
     facts = {"launch_monitor": monitored}
@@ -324,8 +332,7 @@ def test_live_shots_interrupt_before_swing_prevents_swing(plan: CampaignPlan) ->
 
 
 def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
-    configuration = load_configuration(Path("shipped"))
-    profiles = require_swings(plan, configuration)
+    configuration, _, profiles = shipped()
 
     def require(plan: CampaignPlan = plan, **status: Any) -> None:
         given: Any = {
@@ -540,8 +547,8 @@ def test_hindrance_checks_supply_only_at_address(
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launch]:
     """Return the record of a swing that struck the ball, and the launch."""
-    c = load_configuration(Path("shipped"))
-    profile = require_swings(load_plan(Path("two-balls"), c), c)["default", "driver"]
+    c, _, profiles = shipped()
+    profile = profiles["default", "driver"]
     robot = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
     swing = simulate_swing(robot, Ball())
     assert swing.launch is not None
@@ -570,7 +577,7 @@ def of_carry(plan: CampaignPlan, carry: Any) -> CampaignPlan:
 def test_live_shots_reference_carry_uses_measured_air(
     plan: CampaignPlan, record: tuple[SwingRecord, Launch]
 ) -> None:
-    c, (swing, launch) = load_configuration(Path("shipped")), record
+    c, (swing, launch) = shipped()[0], record
     carries, temperatures = [], []
     for air in (None, c.air, Air(263.15)):
         bench = StandingBench()

@@ -37,8 +37,13 @@ def plan(configuration: Configuration) -> CampaignPlan:
 
 
 @pytest.fixture(scope="module")
-def source(plan: CampaignPlan, configuration: Configuration) -> SimulatedShots:
-    return SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never)
+def profiles(plan: CampaignPlan, configuration: Configuration) -> AsDesigned:
+    return AsDesigned(require_swings(plan, configuration))
+
+
+@pytest.fixture(scope="module")
+def source(plan: CampaignPlan, configuration: Configuration, profiles: AsDesigned) -> SimulatedShots:
+    return SimulatedShots(plan, configuration, profiles, never)
 
 
 def _take(source: SimulatedShots, plan: CampaignPlan, number: int, sample: int = 1) -> Taken:
@@ -46,14 +51,12 @@ def _take(source: SimulatedShots, plan: CampaignPlan, number: int, sample: int =
 
 
 def test_simulated_shots_are_independent_of_previous_shots(
-    source: SimulatedShots, plan: CampaignPlan, configuration: Configuration
+    source: SimulatedShots, plan: CampaignPlan, configuration: Configuration, profiles: AsDesigned
 ) -> None:
     for number in (1, 3, 7):
         _take(source, plan, number)
     again = _take(source, plan, 6)
-    fresh = _take(
-        SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never), plan, 6
-    )
+    fresh = _take(SimulatedShots(plan, configuration, profiles, never), plan, 6)
     assert again.shot == fresh.shot
     assert again.cycles is not None
     assert fresh.cycles is not None
@@ -85,9 +88,8 @@ def test_simulated_shots_planned_faults_set_status_and_reason(
 
 
 def test_simulated_shots_monitor_faults_exclude_shot(
-    plan: CampaignPlan, configuration: Configuration
+    plan: CampaignPlan, configuration: Configuration, profiles: AsDesigned
 ) -> None:
-    profiles = AsDesigned(require_swings(plan, configuration))
     clear = replace(plan, simulation=replace(plan.simulation, missing_launch=()))
     source = SimulatedShots(clear, configuration, profiles, never)
     source._monitor = replace(source._monitor, misread=1.0)
