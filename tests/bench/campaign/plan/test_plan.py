@@ -214,6 +214,7 @@ def test_block_trials_are_complete_with_control_at_start_middle_end(
     configuration: Configuration,
 ) -> None:
     plan = load_plan(Path("ten-balls"), configuration)
+    assert len(all_trials(plan)) == 3 * 20 * 13
     slow, middle, fast = sections(plan)
     assert [{arm.swing for arm in section.arms} for section in (slow, middle, fast)] == [
         {"driver-85mph"},
@@ -309,14 +310,14 @@ def test_campaign_check_prints_order_and_json_holds_sequence() -> None:
     shown = runner.invoke(app, ["--config", "shipped", "campaign", "check", "two-balls"])
     assert shown.exit_code == 0
     assert "order from seed 20261121" in shown.stdout
-    result = runner.invoke(app, ["--config", "shipped", "campaign", "check", "ten-balls", "--json"])
+    result = runner.invoke(app, ["--config", "shipped", "campaign", "check", "two-balls", "--json"])
     record = json.loads(result.stdout)
     names = ("title", "needs", "needs_words", "free_bytes", "warnings", "series_warning")
     beside = {name: record.pop(name) for name in names}
     assert beside["free_bytes"] > 0
-    assert record["shots"] == len(record["sequence"]) == 3 * 20 * 13
-    previewed = preview_record(load_plan(Path("ten-balls"), load_configuration(Path("shipped"))), {})
-    assert record == json.loads(json.dumps(previewed))
+    plan = load_plan(Path("two-balls"), load_configuration(Path("shipped")))
+    assert record["shots"] == len(record["sequence"]) == len(all_trials(plan))
+    assert record == json.loads(json.dumps(preview_record(plan, {})))
 
 
 def test_load_plan_club_of_other_variant_suggests_configuration(
