@@ -29,7 +29,7 @@ def project(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> pytes
 def test_leak_check_fails_leaking_tests_only(project: pytest.Pytester) -> None:
     project.makepyfile(
         """
-        import os, subprocess, sys, threading, time
+        import os, subprocess, sys, threading, time, pytest
         from pathlib import Path
 
         def test_clean():
@@ -52,10 +52,19 @@ def test_leak_check_fails_leaking_tests_only(project: pytest.Pytester) -> None:
 
         def test_next_is_clean():
             Path(f"/dev/shm/golfbench-leak-{os.getppid()}").unlink()
+
+        @pytest.fixture(scope="module")
+        def service():
+            with subprocess.Popen(["sleep", "60"]) as process:
+                yield process
+                process.terminate()
+
+        def test_first_use_of_wider_fixture(service): pass
+        def test_second_use(service): pass
         """
     )
     result = project.runpytest_subprocess()
-    result.assert_outcomes(passed=6, errors=4)
+    result.assert_outcomes(passed=8, errors=4)
     result.stdout.fnmatch_lines_random(
         [
             "*thread left-thread",
@@ -111,42 +120,28 @@ def test_tool_requirement_marks_test_live(project: pytest.Pytester) -> None:
     result.stdout.fnmatch_lines(["*test_marked", "*test_fixture", "*2/3 tests collected*"])
 
 
-@pytest.mark.parametrize(("marker", "rerun"), [("live", 1), ("slow", 0)])
-@pytest.mark.parametrize("said", ["a stall of this machine: run golfbench doctor", "cut the cable"])
-def test_live_test_after_reported_stall_is_repeated(
-    project: pytest.Pytester, marker: str, rerun: int, said: str
-) -> None:
+def test_live_test_after_reported_stall_is_repeated(project: pytest.Pytester) -> None:
     project.makepyfile(
-        f"""
+        """
         import pytest
         runs = []
 
-        @pytest.mark.{marker}
-        def test_bench():
-            runs.append(1)
-            assert len(runs) == 2, {said!r}
+        def run(name, report):
+            runs.append(name)
+            assert runs.count(name) == 2, report
+
+        @pytest.mark.live
+        def test_live_stalled(): run("stalled", "a stall of this machine: run golfbench doctor")
+
+        @pytest.mark.live
+        def test_live_failed(): run("failed", "cut the cable")
+
+        def test_fast_stalled(): run("fast", "a stall of this machine: run golfbench doctor")
         """
     )
-    rerun *= "stall" in said
-    project.runpytest_subprocess().assert_outcomes(passed=rerun, failed=1 - rerun)
-
-
-def test_leak_check_ignores_process_of_wider_fixture(project: pytest.Pytester) -> None:
-    project.makepyfile(
-        """
-        import subprocess, pytest
-
-        @pytest.fixture(scope="module")
-        def service():
-            with subprocess.Popen(["sleep", "60"]) as process:
-                yield process
-                process.terminate()
-
-        def test_first(service): pass
-        def test_second(service): pass
-        """
-    )
-    project.runpytest_subprocess().assert_outcomes(passed=2)
+    result = project.runpytest_subprocess("-v")
+    result.assert_outcomes(passed=1, failed=2)
+    result.stdout.fnmatch_lines(["*test_live_stalled PASSED*"])
 
 
 TOOL_TESTS = """
