@@ -1,8 +1,12 @@
-"""A swing made by kinematics alone, a slow swing that every machine can do, and a day made of states."""
+"""A swing made by kinematics alone, a slow swing that every machine can do, and a day made of states.
+
+And pages of campaigns without the drawing of their pictures, which takes most of the time of a report.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from math import cos, pi, radians, sin
 from pathlib import Path
@@ -239,3 +243,27 @@ def slow_swing(plant: PlantParameters) -> Profile:
         delivery={"head_speed_mps": 0.7},
         limits={"supply_pressure_pa": plant.supply.pressure},
     )
+
+
+@contextmanager
+def _undrawn() -> Iterator[None]:
+    def placed(_: Any, name: str) -> str:
+        return f'<svg aria-hidden="true" focusable="false" id="{name}"><path d="M 0.0 0.0"/></svg>'
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bench.campaign.report.campaign_plots.to_svg", placed)
+        yield
+
+
+@pytest.fixture(scope="module")
+def undrawn() -> Iterator[None]:
+    """Leave an empty picture in each place, for all tests of a file."""
+    with _undrawn():
+        yield
+
+
+@pytest.fixture
+def undrawn_here() -> Iterator[None]:
+    """Leave an empty picture in each place, for one test."""
+    with _undrawn():
+        yield

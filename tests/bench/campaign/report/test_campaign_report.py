@@ -20,7 +20,7 @@ from bench.base.errors import BenchError
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.campaign_record import CampaignRecord
 from bench.campaign.report.campaign_report import render_campaign_report, write_campaign_report
-from bench.campaign.report.findings import findings, findings_record
+from bench.campaign.report.findings import Findings, findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.run.runner import RunOutcome
 from bench.campaign.run.runner_control import new_entry
@@ -88,8 +88,13 @@ def record() -> CampaignRecord:
 
 
 @pytest.fixture(scope="module")
-def text(record: CampaignRecord) -> str:
-    return render_campaign_report(record, findings(record.plan, record.shots))
+def found(record: CampaignRecord) -> Findings:
+    return findings(record.plan, record.shots)
+
+
+@pytest.fixture(scope="module")
+def text(record: CampaignRecord, found: Findings) -> str:
+    return render_campaign_report(record, found)
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +161,7 @@ def test_campaign_report_compared_clubs_show_gap_to_next() -> None:
 
 @pytest.mark.usefixtures("undrawn_here")
 def test_campaign_report_captions_state_only_drawn_items(
-    record: CampaignRecord, three_by_two: CampaignRecord
+    record: CampaignRecord, three_by_two: CampaignRecord, found: Findings
 ) -> None:
     plain = replace(
         three_by_two, shots=[replace(s, status=ShotStatus.VALID, reason="") for s in three_by_two.shots]
@@ -164,7 +169,7 @@ def test_campaign_report_captions_state_only_drawn_items(
     words = _words(render_campaign_report(plain, findings(plain.plan, plain.shots)))
     for absent in ("Crosses: control ball", "open: not valid", "Ringed", "Grey band", "Red lines"):
         assert absent not in words, absent
-    words = _words(render_campaign_report(record, findings(record.plan, record.shots)))
+    words = _words(render_campaign_report(record, found))
     for there in ("Crosses: control ball", "open: not valid", "Ellipse: holds 95 %"):
         assert there in words, there
 
@@ -198,13 +203,16 @@ def test_campaign_report_contains_identity_conditions_and_events(text: str, reco
     assert "saw &lt;no&gt; ball" in text
 
 
-def test_campaign_report_names_followed_golfer_with_deviation(record: CampaignRecord, text: str) -> None:
+@pytest.mark.usefixtures("undrawn_here")
+def test_campaign_report_names_followed_golfer_with_deviation(
+    record: CampaignRecord, found: Findings, text: str
+) -> None:
     default = load_profile(find_profile("default"))
     profiles = {("default", "driver"): replace(default, golfer="Anna", followed=FOLLOWED)}
     configuration = load_configuration(Path("shipped"))
     entry = new_entry(record.plan, configuration, NOW, simulated=True, profiles=profiles)
     followed = replace(record, entry=entry)
-    words = _words(render_campaign_report(followed, findings(record.plan, record.shots)))
+    words = _words(render_campaign_report(followed, found))
     assert words.count("Anna") == 2
     for wanted in ("Anna, 5e1f…", "club", "4.5 % 5.7°", "5.3 % 5.2°", "3.4 % 83 mm", "“aligned” at the ball"):
         assert wanted.replace("“", "&#34;").replace("”", "&#34;") in words, wanted
@@ -229,9 +237,9 @@ def test_campaign_report_ids_are_unique() -> None:
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_campaign_report_unfinished_campaign_is_stated_first(record: CampaignRecord) -> None:
+def test_campaign_report_unfinished_campaign_is_stated_first(record: CampaignRecord, found: Findings) -> None:
     standing = Standing(CampaignState.SUSPENDED, "balls used up", "")
-    page = render_campaign_report(replace(record, standing=standing), findings(record.plan, record.shots))
+    page = render_campaign_report(replace(record, standing=standing), found)
     assert "This campaign is not finished: suspended (balls used up)" in page
     assert page.index("not finished") < page.index("pole has")
 
@@ -246,7 +254,7 @@ def test_campaign_report_one_level_renders_and_no_shots_is_refused() -> None:
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_campaign_report_long_lists_state_omitted_count(record: CampaignRecord) -> None:
+def test_campaign_report_long_lists_state_omitted_count(record: CampaignRecord, found: Findings) -> None:
     events = [Event(NOW, n, "guard", f"guard opened, number {n}.") for n in range(1, 251)]
     prompts = [Prompt(n, n, "club", f"Mount it, number {n}.", {}, NOW, NOW, "erika") for n in range(1, 203)]
     invalid = [
@@ -254,12 +262,12 @@ def test_campaign_report_long_lists_state_omitted_count(record: CampaignRecord) 
         for n, shot in enumerate([*record.shots[:11]] * 100, 1)
     ]
     many = replace(record, shots=invalid, events=events, prompts=prompts)
-    page = _words(render_campaign_report(many, findings(record.plan, record.shots)))
+    page = _words(render_campaign_report(many, found))
     assert "number 200." in page
     assert "and 50 more" in page
     assert "and 2 more" in page
     assert "The first 1000 of 1100 of these" in page
-    short = _words(render_campaign_report(record, findings(record.plan, record.shots)))
+    short = _words(render_campaign_report(record, found))
     assert " more" not in short.split("Events")[1].split("Limits")[0]
 
 
@@ -288,8 +296,7 @@ def test_campaign_report_several_days_show_dates(record: CampaignRecord) -> None
     assert "before shot 5, 2026-11-21 21:00:00: the runner had ended" in page
 
 
-def test_findings_record_holds_report_figures(record: CampaignRecord) -> None:
-    found = findings(record.plan, record.shots)
+def test_findings_record_holds_report_figures(found: Findings) -> None:
     figures = json.loads(json.dumps(findings_record(found), allow_nan=False))
     (pair,) = figures["sections"][0]["confirmatory"]["pairs"]
     assert pair["verdict"] == "different"
@@ -303,8 +310,8 @@ def test_findings_record_holds_report_figures(record: CampaignRecord) -> None:
     assert f"{pair['difference']:.2f}" in figures["sections"][0]["verdicts"][0]["headline"]
 
 
-def test_check_baseline_reports_figures_outside_band(record: CampaignRecord, tmp_path: Path) -> None:
-    figures = findings_record(findings(record.plan, record.shots))
+def test_check_baseline_reports_figures_outside_band(found: Findings, tmp_path: Path) -> None:
+    figures = findings_record(found)
     file = tmp_path / "baseline.toml"
     file.write_text(
         '[[figure]]\npath = "sections.0.levels.pole.spread.mean"\nlow = 170\nhigh = 190\n'

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from statsmodels.regression.linear_model import OLS
-from statsmodels.stats.multitest import multipletests
 
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
@@ -58,6 +56,8 @@ def test_fit_blocks_reproduces_published_block_design() -> None:
 
 
 def test_holm_matches_statsmodels() -> None:
+    from statsmodels.stats.multitest import multipletests
+
     p = np.random.default_rng(1).random(30) ** 3
     assert holm(list(p)) == pytest.approx(multipletests(p, method="holm")[1])
     assert holm([0.04]) == [0.04]
@@ -76,6 +76,8 @@ def unbalanced() -> dict[str, np.ndarray[Any, Any]]:
 def test_fit_blocks_matches_full_least_squares(
     unbalanced: dict[str, np.ndarray[Any, Any]],
 ) -> None:
+    from statsmodels.regression.linear_model import OLS
+
     level, block, time, y = (unbalanced[name] for name in ("level", "block", "time", "y"))
     design = np.column_stack(
         [level == k for k in (1, 2, 3)] + [time] + [block == b for b in np.unique(block)]

@@ -7,7 +7,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy import stats
-from statsmodels.regression.mixed_linear_model import MixedLM
 
 from bench.campaign.statistics.block_model import fit_blocks
 from bench.campaign.statistics.unequal_variances import UnitLayout, together, units_of
@@ -31,6 +30,8 @@ def test_unit_layout_two_levels_match_paired_t_test() -> None:
 
 
 def test_unit_layout_error_matches_mixed_model() -> None:
+    from statsmodels.regression.mixed_linear_model import MixedLM
+
     # Balanced and away from the boundary, REML's error of a difference is that of the balls' means.
     random, count, balls, hits = np.random.default_rng(8), 3, 60, 3
     blocks = balls * hits
