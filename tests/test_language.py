@@ -83,6 +83,12 @@ def parsed() -> dict[str, ast.Module]:
 
 
 @cache
+def parsed_tests() -> tuple[tuple[str, ast.Module], ...]:
+    """Return name and module of each file of the tests."""
+    return tuple((path.name, ast.parse(path.read_bytes())) for path in (PROJECT / "tests").rglob("*.py"))
+
+
+@cache
 def texts() -> tuple[str, ...]:
     """Return all strings of more than one word: docstrings and messages."""
     return tuple(strings_of(parsed().values()))
@@ -91,8 +97,7 @@ def texts() -> tuple[str, ...]:
 @cache
 def texts_of_tests() -> tuple[str, ...]:
     """Return those of all tests but this one."""
-    paths = (path for path in (PROJECT / "tests").rglob("*.py") if path.name != Path(__file__).name)
-    return tuple(strings_of(ast.parse(path.read_bytes()) for path in paths))
+    return tuple(strings_of(tree for name, tree in parsed_tests() if name != Path(__file__).name))
 
 
 def strings_of(trees: Iterable[ast.Module]) -> Iterator[str]:
@@ -160,8 +165,8 @@ def test_bench_errors_have_noun_phrases_and_actions() -> None:
 
 def test_test_names_have_no_articles_or_pronouns() -> None:
     words = {"a", "an", "the", "it", "its", "nobody", "somebody", "whoever", "told", "said", "beside", "too"}
-    trees = (ast.parse(path.read_bytes()) for path in (PROJECT / "tests").rglob("*.py"))
-    names = (node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
+    nodes = (node for _, tree in parsed_tests() for node in ast.walk(tree))
+    names = (node.name for node in nodes if isinstance(node, ast.FunctionDef))
     assert [name for name in names if name.startswith("test_") and words & set(name.split("_"))] == []
 
 
