@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from math import nan, pi
 from typing import Any
 
@@ -217,3 +219,13 @@ class Puppet:
             self.hold()
         assert self.phase is phase
         return self
+
+
+def entered(phase: Phase) -> Puppet:
+    """Return a default puppet in the middle of `phase`; its way there is gone once."""
+    return deepcopy(_entered(phase))
+
+
+@cache
+def _entered(phase: Phase) -> Puppet:
+    return Puppet().enter(phase)

@@ -267,14 +267,6 @@ def test_access_chambers_without_sensors_requires_press(button: bool) -> None:
     assert asked(puppet, Request.ACCESS) is (Refusal.NONE if button else Refusal.GAUGE)
 
 
-@pytest.mark.parametrize(("above", "let_in"), [(-1.0, True), (1.0, False)])
-def test_access_chamber_above_holding_pressure_refused(above: float, let_in: bool) -> None:
-    puppet = reach(State.READY)
-    puppet.give(chamber_pressure=(*(ATMOSPHERE,) * 5, HOLDING + above)).run(50)
-    assert puppet.cause is Cause.NONE
-    assert asked(puppet, Request.ACCESS) is (Refusal.NONE if let_in else Refusal.NOT_VENTED)
-
-
 def test_access_brief_pressure_after_venting_waits_access_delay_only() -> None:
     puppet = reach(State.READY, access_delay=0.5)
     puppet.run(2000)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from bench.base.lifecycle import Phase, Reaction, Request, State
+from bench.base.lifecycle import Phase, Request, State
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_memory import SharedRecord
-from tests.bench.control.operating import on_the_way, reach
+from tests.bench.control.operating import reach
 from tests.bench.control.puppet import Puppet
 
 
@@ -80,14 +79,6 @@ def test_lease_change_refuses_swing_of_new_holder(led: Led) -> None:
     assert not puppet.control["swings"]
 
 
-def test_lease_change_on_way_to_address_brakes(led: Led) -> None:
-    puppet = on_the_way()
-    led.run(puppet, 5)
-    grant_access(led)
-    led.run(puppet, 1)
-    assert (puppet.bench, puppet.reaction) == (State.RECOVERING, Reaction.BRAKE)
-
-
 def test_lease_change_during_swing_completes_and_disarms(led: Led) -> None:
     puppet = reach(State.SWINGING, hold_between_swings=True)
     led.run(puppet, 5)
@@ -96,22 +87,3 @@ def test_lease_change_during_swing_completes_and_disarms(led: Led) -> None:
     assert puppet.bench is State.SWINGING
     led.run(puppet, 2000)
     assert (puppet.bench, puppet.phase) == (State.READY, Phase.STANDING)
-
-
-def test_lease_change_during_homing_brakes(led: Led) -> None:
-    puppet = Puppet().enter(Phase.HOMING)
-    led.run(puppet, 5)
-    assert puppet.bench is State.HOMING
-    grant_access(led)
-    led.run(puppet, 2)
-    assert puppet.reaction is Reaction.BRAKE
-
-
-def test_lease_change_refuses_pending_arm_request(led: Led) -> None:
-    puppet = reach(State.READY)
-    led.run(puppet, 5)
-    led.ask(Request.ARM)
-    grant_access(led)
-    led.run(puppet, 50)
-    assert puppet.bench is State.READY
-    assert not np.any(puppet.record["supply_enable"])
