@@ -264,11 +264,6 @@ def test_wait_until_armed_disarmed_bench_is_refused(
     assert ("golfbench reset" in caught.value.action) == (state is State.FAULT)
 
 
-def test_connect_without_bench_raises_no_answer() -> None:
-    with pytest.raises(NoAnswer):
-        BenchClient.connect(loopback_configuration())
-
-
 def test_status_other_bench_id_raises_no_answer(running: RunningPlane) -> None:
     c = running.configuration
     other = replace(c, bench=BenchSettings(id="bench2", data_dir=c.bench.data_dir))

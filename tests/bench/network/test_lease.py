@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
@@ -159,4 +159,5 @@ class OneHolderAtATime(RuleBasedStateMachine):
             assert (lease.holder, lease.key, lease.expiry) == (self.holder, self.key, self.end)
 
 
+OneHolderAtATime.TestCase.settings = settings(max_examples=30)
 TestOneHolderAtATime = OneHolderAtATime.TestCase

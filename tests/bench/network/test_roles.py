@@ -42,7 +42,9 @@ def bench(configuration: Configuration) -> Iterator[RunningPlane]:
         yield running
 
 
-Connect = Callable[[str], BenchClient]
+Connect = Callable[..., BenchClient]
+SHORT = 0.4
+"""s that the answer to a denied request is waited for; what a bench did shows its service."""
 
 
 @pytest.fixture
@@ -50,9 +52,9 @@ def come_as(bench: RunningPlane, folder: Folder) -> Iterator[Connect]:
     """Connect by TLS with the certificate in a file of `folder`."""
     clients: list[BenchClient] = []
 
-    def connect(file: str) -> BenchClient:
+    def connect(file: str, timeout: float = 1.0) -> BenchClient:
         client = client_of(bench.configuration.network.beyond, str(folder.path / file))
-        clients.append(BenchClient.connect(client, timeout=1.0))
+        clients.append(BenchClient.connect(client, timeout))
         return clients[-1]
 
     yield connect
@@ -176,7 +178,7 @@ def test_viewer_role_reads_status_schema_and_publications(
 
 
 def test_viewer_role_motion_and_lease_commands_are_denied(bench: RunningPlane, come_as: Connect) -> None:
-    viewer = come_as("anna")
+    viewer = come_as("anna", SHORT)
     for command in (viewer.disarm, lambda: viewer.take_lease("anna")):
         with denied():
             command()
@@ -226,10 +228,12 @@ def test_connected_client_stop_and_estop_are_accepted(
 def test_client_without_role_is_denied_status_and_commands(
     bench: RunningPlane, come_as: Connect, folder: Folder
 ) -> None:
-    client = come_as("carl")
+    client = come_as("carl", SHORT)
     for command in (client.status, client.disarm, lambda: client.take_lease("carl")):
         with denied():
             command()
+    assert bench.service.requests == []
+    assert bench.plane.lease() is None
     network = bench.configuration.network
     with open_client(network, "bench1") as publisher:
         beyond = client_of(network.beyond, str(folder.path / "carl")).network
