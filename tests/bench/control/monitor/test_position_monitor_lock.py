@@ -59,13 +59,6 @@ def test_guard_lock_monitor_fault_with_open_guard_keeps_guard_unlocked() -> None
     assert asked(puppet, Request.RESET) is Refusal.NONE
 
 
-@pytest.mark.parametrize("request_", [Request.ARM, Request.HOME], ids=lambda request: request.name)
-def test_guard_lock_wrong_refuses_motion(request_: Request) -> None:
-    puppet = reach(State.READY)
-    puppet.control["lock"]["wrong"] = True
-    assert asked(puppet, request_) is Refusal.LOCK
-
-
 def test_guard_lock_monitor_feedback_following_release_clears_fault() -> None:
     puppet = released(locked=True)
     puppet.run(LATE)

@@ -22,11 +22,13 @@ from sim.dynamics import chambers
 from sim.plant import PlantParameters, build_plant
 from tests.bench.control.operating import asked, press, reach
 from tests.bench.control.puppet import ADDRESS, ATMOSPHERE, put
+from tests.sampling import release_except
 
 PARAMETERS = PlantParameters()
 BUILT = build_plant(PARAMETERS)
 HOLDING = holding_pressure(PARAMETERS)
 TICK = 5e-3
+BARELY_PASSED = 1.2 * MIN_EXHAUST_SHARE
 
 
 class Exhausts:
@@ -73,23 +75,27 @@ class Exhausts:
         return np.flatnonzero(self.control["exhausts"]["slow"][0]).tolist()
 
 
-POSES = [ADDRESS, ADDRESS + [-1.2, 0.0, -0.8], ADDRESS + [1.5, -0.3, 0.1]]
+POSES = {
+    "address": ADDRESS,
+    "top": ADDRESS + [-1.2, 0.0, -0.8],
+    "follow-through": ADDRESS + [1.5, -0.3, 0.1],
+}
 
 
-@pytest.mark.parametrize("angle", POSES, ids=["address", "top", "follow-through"])
-@pytest.mark.parametrize("share", [1.0, 0.6, 1.2 * MIN_EXHAUST_SHARE])
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("share", release_except({BARELY_PASSED}, [1.0, 0.6, BARELY_PASSED]))
 @pytest.mark.parametrize("begin", [2e5, 8e5])
-def test_exhaust_monitor_share_above_slowest_reports_none(angle: Any, share: float, begin: float) -> None:
-    assert Exhausts(share, begin, angle).run(10.0).found == []
+def test_exhaust_monitor_share_above_slowest_reports_none(pose: str, share: float, begin: float) -> None:
+    assert Exhausts(share, begin, POSES[pose]).run(10.0).found == []
 
 
-@pytest.mark.parametrize("angle", POSES, ids=["address", "top", "follow-through"])
-@pytest.mark.parametrize("share", [0.1, 0.01, 0.0])
+@pytest.mark.parametrize("pose", release_except({"address"}, POSES))
+@pytest.mark.parametrize("share", release_except({0.1}, [0.1, 0.01, 0.0]))
 @pytest.mark.parametrize("chamber", range(6), ids=CHAMBERS)
-def test_exhaust_monitor_throttled_exhaust_reports_chamber(angle: Any, share: float, chamber: int) -> None:
+def test_exhaust_monitor_throttled_exhaust_reports_chamber(pose: str, share: float, chamber: int) -> None:
     shares = [1.0] * 6
     shares[chamber] = share
-    exhausts = Exhausts(shares, angle=angle).run(6.0)
+    exhausts = Exhausts(shares, angle=POSES[pose]).run(6.0)
     assert exhausts.found == [chamber]
     assert exhaust_cause(exhausts.control["exhausts"][0]) == Cause.SHOULDER_A_EXHAUST + chamber
     assert air_fault(exhausts.control[0]) == 1 << (13 + chamber)
