@@ -58,6 +58,7 @@ MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 560 * MEBIBYTE
 """Locked memory of the loop, and proportional memory of all processes, bytes."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ALLOWED)
 def test_process_imports_only_allowed_heavy_packages(module: str) -> None:
     code = f"import sys, {module}; print(*sys.modules)"
