@@ -2,7 +2,7 @@
 
 The properties are derived independently from the two tables of `bench.base.lifecycle` and from the test's
 own changes to the readings; the step's verdicts are used only where they are the specification. For more
-than the few seconds of every day: `pytest --hypothesis-profile=thorough`.
+than the few seconds of every day: the release tests, and `pytest --hypothesis-profile=thorough` with them.
 """
 
 from __future__ import annotations
@@ -373,13 +373,14 @@ class Bench(RuleBasedStateMachine):
 
 
 thorough = settings.get_current_profile_name() == "thorough"
-Bench.TestCase.settings = settings(
-    max_examples=3000 if thorough else 120,
-    stateful_step_count=60 if thorough else 40,
-    derandomize=not thorough,
-    deadline=None,
-    print_blob=True,
-)
+few = settings(max_examples=30, stateful_step_count=40, derandomize=True, deadline=None, print_blob=True)
+many = settings(few, max_examples=3000 if thorough else 300, stateful_step_count=60, derandomize=not thorough)
 
 
+class LongBench(Bench):
+    """The same for longer, before a release."""
+
+
+Bench.TestCase.settings, LongBench.TestCase.settings = few, many
 TestBench = Bench.TestCase
+TestLongBench = pytest.mark.release(LongBench.TestCase)

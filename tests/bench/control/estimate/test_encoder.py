@@ -68,7 +68,7 @@ class Channel:
         return self.record[0]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(start=st.tuples(*(st.floats(low, high) for low, high in TRAVEL)), seed=st.integers(0, 2**32 - 1))
 def test_decode_encoders_motion_in_travel_is_exact_to_half_count(
     start: tuple[float, float, float], seed: int

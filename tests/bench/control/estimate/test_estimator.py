@@ -3,7 +3,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise, Q_discrete_white_noise
@@ -24,6 +23,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record
 from sim.plant import PlantParameters, build_plant
+from tests.sampling import release_except
 
 PERIOD = 1e-3
 COUNTS = 2**16
@@ -135,6 +135,7 @@ def test_estimate_swing_with_drop_outs_and_impact_equals_filterpy(swing: Callabl
     assert_equal_to_filterpy(sampled(s.angle), age, valid, dt, in_window(s.time))
 
 
+@pytest.mark.release
 def test_estimate_simulated_swing_equals_filterpy() -> None:
     profile = load_profile(find_profile("default"))
     parameters = PlantParameters()
@@ -166,7 +167,7 @@ def test_estimate_measured_ticks_and_aged_samples_equals_filterpy(swing: Callabl
     assert_equal_to_filterpy(sampled(s.angle[keep]), age, valid, dt, in_window(s.time[keep]))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     silences=st.lists(st.tuples(st.integers(0, 249), st.integers(1, 80), st.integers(0, 2)), max_size=8),
     scattered=st.floats(0, 0.6),
@@ -292,14 +293,14 @@ def test_estimate_constant_latency_leaves_no_lag() -> None:
     assert state["velocity"][0] == pytest.approx(np.full(3, 200.0 * times[-1]), abs=1e-6)
 
 
-def test_estimate_nees_and_nis_are_consistent() -> None:
+@pytest.mark.parametrize("runs", release_except({40}, [40, 400]))
+def test_estimate_nees_and_nis_are_consistent(runs: int) -> None:
     """Monte Carlo: NEES averages 3, NIS 1, also after drop-outs and after jumps inside the window.
 
-    3 joints × 400 runs (40 in slow plain Python) of signals drawn from the filter's model; jumps at a
-    random instant of the tick. The bounds are 5 standard deviations of a mean of that many chi-squares.
+    3 joints × `runs` of signals drawn from the filter's model; jumps at a random instant of the tick. The
+    bounds are 5 standard deviations of a mean of that many chi-squares.
     """
-    rng = np.random.default_rng(20)
-    runs, ticks = (40 if numba.config.DISABLE_JIT else 400), 120
+    rng, ticks = np.random.default_rng(20), 120
     parameters = designed(jitter=(0.0, 0.0, 0.0), acceleration_change=(80.0,) * 3, velocity_jump=(5.0,) * 3)
     noise = np.sqrt(parameters["quantisation"][0, 0])
     g = np.array([PERIOD**2 / 2, PERIOD, 1.0])
