@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -34,10 +33,10 @@ from drivers.base import PASSIVE
 from drivers.base.records import unpack_command
 from sim.ball import Ball
 from tests.bench.simulation.driver_loop import DriverLoop
+from tests.compiled_only import needs_speed
+from tests.sampling import release_except
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
+pytestmark = needs_speed
 
 SOFT = Ball(name="soft", restitution_factor=0.9)
 NEVER = 10**9
@@ -250,24 +249,36 @@ def test_simulate_swing_open_emergency_stop_circuit_is_refused(
         simulate_swing(robot)
 
 
-@pytest.mark.parametrize("seconds", [-1.5, 0.2, 0.7, 1.2, 1.4, 1.7, 2.5])
+@pytest.fixture(scope="module")
+def swing_ticks(series: list[SwingResult]) -> int:
+    return len(series[0].cycles) - int(np.argmax(series[0].cycles["phase"] == Phase.BACKSWING))
+
+
+@pytest.fixture(scope="module")
+def first_question(robot: SimulatedBench, swing_ticks: int) -> int:
+    """Return the number of the first question in a swing; there is one every 20 ms."""
+    counted = ControlC(lambda: False, NEVER)
+    next(simulate_swings(robot, [Ball()], stop=counted))
+    return counted.asked - swing_ticks // 20
+
+
+@pytest.mark.parametrize(
+    "seconds", release_except({-1.5, 0.7, 1.4, 2.5}, [-1.5, 0.2, 0.7, 1.2, 1.4, 1.7, 2.5])
+)
 def test_simulate_swings_interrupt_stops_swing_and_keeps_record(
     robot: SimulatedBench,
-    series: list[SwingResult],
+    swing_ticks: int,
+    first_question: int,
     steppers: list[Any],
     tmp_path: Path,
     seconds: float,
 ) -> None:
     """Times count from the swing's request; before it the robot is still being armed."""
-    counted = ControlC(lambda: False, NEVER)
-    next(simulate_swings(robot, [Ball()], stop=counted))
-    swing_ticks = len(series[0].cycles) - int(np.argmax(series[0].cycles["phase"] == Phase.BACKSWING))
-    begin = counted.asked - swing_ticks // 20
     results: list[SwingResult] = []
 
     def work() -> None:
         with deferred_interrupt() as wish:
-            stop = ControlC(wish.is_made, begin + round(seconds / 0.02))
+            stop = ControlC(wish.is_made, first_question + round(seconds / 0.02))
             for result in simulate_swings(robot, [Ball()] * 3, stop=stop):
                 write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
                 results.append(result)
