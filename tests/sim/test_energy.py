@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from sim.kane import forward_dynamics
 from sim.robot import Body, Club, RobotParameters, thesis_robot
+from tests.sampling import release_except
 
 SECONDS = 10.0
 TOLERANCE = 1e-8
@@ -67,9 +68,9 @@ def _energy(robot: RobotParameters, q: Any, u: Any) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("start", STARTS)
-@pytest.mark.parametrize("club", [Club.thesis(), Club.driver()], ids=lambda club: club.name)
-def test_forward_dynamics_free_swing_conserves_energy(start: str, club: Club) -> None:
-    robot = thesis_robot(club)
+@pytest.mark.parametrize("club", release_except({"driver"}, ("thesis", "driver")))
+def test_forward_dynamics_free_swing_conserves_energy(start: str, club: str) -> None:
+    robot = thesis_robot(getattr(Club, club)())
     q, u = STARTS[start]
     no_effort = np.zeros(3)
 

@@ -135,7 +135,7 @@ def test_fly_smooth_model_converges_at_fourth_order() -> None:
     assert abs(carry(0.02) - exact) < 1e-4
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     velocity=st.tuples(st.floats(-60, 80), st.floats(-50, 50), st.floats(-30, 30)),
     spin=st.floats(0, 1200),

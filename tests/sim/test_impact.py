@@ -67,7 +67,7 @@ def _unit(v: Any3) -> np.ndarray:
 # --- Collision --------------------------------------------------------------------------------------
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     velocity=_vectors(60),
     spin=_vectors(80),
@@ -207,7 +207,7 @@ def test_strike_matches_published_rows(
     assert launch.speed / MPH / speed == pytest.approx(stiff[1], abs=0.001)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(loft=st.floats(0, 1), attack=st.floats(-0.1, 0.1), x=st.floats(-0.03, 0.03), y=st.floats(-0.02, 0.02))
 def test_strike_smash_factor_stays_below_ceiling(loft: float, attack: float, x: float, y: float) -> None:
     ceiling = 1.83 / (1 + BALL.mass / 0.2)
@@ -329,7 +329,7 @@ def test_face_axes_soled_club_give_loft_and_face_angle() -> None:
     assert np.cross(n, h) == pytest.approx(t)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     lean=st.floats(-0.6, 0.6),
     lie=st.floats(0.7, 1.3),
@@ -373,7 +373,7 @@ def test_delivery_shaft_lean_ignores_whole_turns(turns: int) -> None:
     assert delivery.shaft_lean == pytest.approx(0.1)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(vx=st.floats(20, 60), vy=st.floats(-5, 5))
 def test_delivery_attack_angle_and_path_follow_swing_plane(vx: float, vy: float) -> None:
     d = delivery_from_plane((0, 0, DOWN), (vx, vy, 20), (0, 0), DRIVER, LIE)
@@ -387,7 +387,7 @@ def test_delivery_spin_loft_equals_dynamic_loft_less_attack_angle() -> None:
     assert degrees(d.spin_loft) == pytest.approx(13.7)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(lean=st.floats(-0.1, 0.1), error=st.floats(-0.02, 0.02), shift=st.floats(-0.03, 0.03))
 def test_strike_point_tee_shift_moves_towards_toe(lean: float, error: float, shift: float) -> None:
     square, moved = (
@@ -418,7 +418,7 @@ def test_strike_at_toe_starts_right_and_curves_back() -> None:
     assert off.speed < centred.speed
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(lean=st.floats(-0.3, 0.3), error=st.floats(-0.03, 0.03))
 def test_strike_point_projects_in_plane_error(lean: float, error: float) -> None:
     parameters = impact_parameters(DRIVER, BALL, LIE)
@@ -466,7 +466,7 @@ PLANE_STATES = st.tuples(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(state=PLANE_STATES)
 def test_impact_in_plane_matches_strike_in_golf_frame(state: tuple[float, ...]) -> None:
     lean, vx, vy, omega, ball_y = state
@@ -476,7 +476,7 @@ def test_impact_in_plane_matches_strike_in_golf_frame(state: tuple[float, ...]) 
     assert strike(delivery, DRIVER, BALL) == pytest.approx(launch_from_motion(velocity, spin), abs=1e-7)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(state=PLANE_STATES)
 def test_impact_in_plane_club_impulse_is_opposite_and_takes_energy(state: tuple[float, ...]) -> None:
     lean, vx, vy, omega, ball_y = state
@@ -510,7 +510,7 @@ def test_impact_in_plane_club_impulse_is_opposite_and_takes_energy(state: tuple[
 # --- Values at the edge -----------------------------------------------------------------------------
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     elevation=st.floats(-0.5, 1.3),
     azimuth=st.floats(-0.5, 0.5),

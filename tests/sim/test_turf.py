@@ -22,7 +22,7 @@ def _energy(velocity: Vector, spin: Vector) -> float:
     return dot(velocity, velocity) + 0.4 * RADIUS**2 * dot(spin, spin)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(velocity=vectors, spin=spins, friction=st.floats(0, 1), tilt=st.floats(0, 0.5))
 def test_bounce_never_gains_energy(velocity: Vector, spin: Vector, friction: float, tilt: float) -> None:
     after = bounce(velocity, spin, RADIUS, friction, tilt, 1.0)
