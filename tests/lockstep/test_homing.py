@@ -7,7 +7,6 @@ from dataclasses import replace
 from math import pi
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -26,11 +25,10 @@ from sim.driver import hanging_pose, joint_travel
 from sim.kinematics import forward_kinematics
 from sim.plant import Encoders, PlantParameters, build_plant
 from tests.benchmarks.healthy_swings import counting
+from tests.compiled_only import needs_speed
 from tests.sampling import release_except
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
-)
+pytestmark = needs_speed
 
 INDEX = np.array([-0.60, 4.25, 5.90])
 """Where the marks are (rad)."""
@@ -84,7 +82,9 @@ def rest(bench: Lockstep) -> None:
 OFFSETS = [(0.0, 0.0, 0.0), (0.25, -0.05, -0.2), (-0.2, -0.05, -0.1), (0.4, -0.1, -0.3)]
 
 
-@pytest.mark.parametrize("offset", OFFSETS)
+@pytest.mark.parametrize(
+    "offset", release_except({OFFSETS[2], OFFSETS[3]}, ((offset,) for offset in OFFSETS))
+)
 def test_index_homing_from_several_poses_reaches_ready(
     make_bench: MakeBench, offset: tuple[float, float, float]
 ) -> None:
@@ -218,7 +218,7 @@ def begin(default_profile: Profile, offset: tuple[float, float, float], *, incre
 
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
-@pytest.mark.parametrize("offset", [0.0125, -0.0125, 0.05, 0.15, -0.3])
+@pytest.mark.parametrize("offset", release_except({0.0125, -0.3}, [0.0125, -0.0125, 0.05, 0.15, -0.3]))
 @pytest.mark.parametrize("joint", range(3))
 def test_homing_wrong_encoder_zero_ends_in_fault(
     default_profile: Profile, joint: int, offset: float, incremental: bool
@@ -252,7 +252,7 @@ def test_stop_tolerance_with_press_shifts_head_by_given_distance(default_profile
 
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", release_except({4}, [1, 4]))
 def test_pressed_stops_unknown_plant_lie_within_half_tolerance(
     default_profile: Profile, seed: int, incremental: bool
 ) -> None:
@@ -280,7 +280,9 @@ def test_pressed_stops_unknown_plant_lie_within_half_tolerance(
 
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
-@pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, -1), (-1, 1, -1)])
+@pytest.mark.parametrize(
+    "signs", release_except({(1, -1, -1)}, [((1, 1, 1),), ((1, -1, -1),), ((-1, 1, -1),)])
+)
 def test_homing_small_wrong_zero_keeps_ground_clearance(
     default_profile: Profile, signs: tuple[int, int, int], incremental: bool
 ) -> None:
@@ -331,21 +333,25 @@ def test_index_homing_joint_beyond_index_reverses(make_bench: MakeBench, shoulde
     assert np.abs(records["plant_angle"][:, 0] - shoulder).max() < HOMING.travel[0] + 0.3
 
 
-LOWER = joint_travel(PLANT)[0] + 1e-3
-RAISED = [LOWER, (-0.39, 3.75, 4.89), (-1.7, 3.98, 5.75), (-1.5, 3.83, 5.62)]
+RAISED = {
+    "stops": joint_travel(PLANT)[0] + 1e-3,
+    "folded": (-0.39, 3.75, 4.89),
+    "shoulder": (-1.7, 3.98, 5.75),
+    "high": (-1.5, 3.83, 5.62),
+}
 """Poses in which a homing that was stopped, or friction, may leave the vented robot."""
 
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
-@pytest.mark.parametrize("pose", RAISED, ids=["stops", "folded", "shoulder", "high"])
+@pytest.mark.parametrize("name", release_except({"stops", "shoulder"}, RAISED))
 def test_homing_precharge_from_rest_pose_limits_motion(
-    default_profile: Profile, pose: tuple[float, float, float], incremental: bool
+    default_profile: Profile, name: str, incremental: bool
 ) -> None:
     plant = PLANT if incremental else PlantParameters()
     homing = HOMING if incremental else HomingSettings()
     check = EnvelopeSettings().with_model_check("always")
     parameters = build_controller(plant, default_profile, envelope=check, lifecycle=SIMULATED, homing=homing)
-    bench = Lockstep(build_plant(plant), parameters, np.array(pose))
+    bench = Lockstep(build_plant(plant), parameters, np.array(RAISED[name]))
     bench.state = new_control_state(State.SAFE)
     bench.advance(6000)
     records = home(bench)
