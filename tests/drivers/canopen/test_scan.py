@@ -17,6 +17,7 @@ from drivers.canopen.scan import ScannedNode, scan
 from drivers.canopen.settings import CanopenSettings
 from sim.nodes.personality import ENCODER, IO, Personality, find_personality, personalities
 from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan, settings_of
+from tests.sampling import release_except
 
 
 def scanned(
@@ -55,7 +56,7 @@ def test_scan_names_settings_of_startup() -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, one in personalities().items() if one.role == ENCODER])
-@pytest.mark.parametrize("counts", [2**17, 2**16])
+@pytest.mark.parametrize("counts", release_except({2**17}, [2**17, 2**16]))
 def test_scan_verdict_matches_startup(name: str, counts: int) -> None:
     encoder = find_personality(name, ENCODER)
     wire = Wire(replace(nodes_plan(), encoder_personality=encoder))

@@ -17,6 +17,7 @@ from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNode
 from sim.nodes.device import CanopenDevice
 from sim.nodes.personality import ObjectChange, Personality
 from tests.drivers.canopen.in_step import SETTINGS, WITH_SPOOLS, DriverInStep, Wire, make, nodes_plan
+from tests.sampling import release_except
 
 RELAY = replace(SETTINGS.valve_node, watchdog_relay="K7")
 
@@ -281,7 +282,7 @@ def with_fixed_mapping(wire: Wire, code: int) -> None:
     node.personality = Personality("fixed", "io", "any", "any", "CiA 301", fixed_mapping=code)
 
 
-@pytest.mark.parametrize("code", CODES, ids=hex)
+@pytest.mark.parametrize("code", release_except({CODES[0], CODES[-1]}, CODES), ids=hex)
 def test_setup_fixed_matching_mapping_is_accepted(code: int) -> None:
     driver, wire = make()
     driver.open()  # leaves the mapping as it is needed
@@ -291,7 +292,7 @@ def test_setup_fixed_matching_mapping_is_accepted(code: int) -> None:
     assert driver.operational
 
 
-@pytest.mark.parametrize("code", CODES, ids=hex)
+@pytest.mark.parametrize("code", release_except({CODES[0], CODES[-1]}, CODES), ids=hex)
 def test_setup_fixed_wrong_mapping_refusal_names_abort_code(code: int) -> None:
     driver, wire = make()
     with_fixed_mapping(wire, code)
