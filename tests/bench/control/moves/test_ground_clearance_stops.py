@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -20,6 +20,7 @@ from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record
 from sim.plant import PlantParameters
 from tests.bench.control.puppet import STILL
+from tests.compiled_only import needs_speed
 
 
 def acting(
@@ -70,15 +71,13 @@ def test_escape_other_joints_act_until_escape_time(cause: Cause, expected: list[
     assert acting(cause, since=1.1 * last) == [None] * 3
 
 
-@pytest.mark.parametrize("phase", Phase)
-@pytest.mark.parametrize("reaction", Reaction)
-def test_escape_acts_only_in_stop_from_downswing_to_follow_through(phase: Phase, reaction: Reaction) -> None:
-    wanted = Phase.DOWNSWING <= phase <= Phase.FOLLOW_THROUGH and reaction in (
-        Reaction.BRAKE,
-        Reaction.PASSIVE,
-    )
-    assert (acting(Cause.ARM_AIR, phase, reaction) == [0.4, None, 0.0]) is wanted
-    assert acting(Cause.EMERGENCY_STOP, phase, reaction) == [None] * 3
+def test_escape_acts_only_in_stop_from_downswing_to_follow_through() -> None:
+    for phase, reaction in product(Phase, Reaction):
+        stops = reaction in (Reaction.BRAKE, Reaction.PASSIVE)
+        wanted = Phase.DOWNSWING <= phase <= Phase.FOLLOW_THROUGH and stops
+        found = acting(Cause.ARM_AIR, phase, reaction)
+        assert (found == [0.4, None, 0.0]) is wanted, (phase, reaction)
+        assert acting(Cause.EMERGENCY_STOP, phase, reaction) == [None] * 3, (phase, reaction)
 
 
 def test_escape_time_without_turf_equals_zero() -> None:
@@ -105,7 +104,7 @@ def ended(check: SwingCheck, fault: str, tick: int) -> TrialOutcome:
     return outcome
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation")
+@needs_speed
 @pytest.mark.parametrize(
     ("fault", "tick"),
     [
