@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -20,10 +19,9 @@ from drivers.base import JOINTS
 from sim.driver import hanging_pose
 from sim.faults import Fault
 from sim.plant import PlantParameters, build_plant
+from tests.compiled_only import needs_speed
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
-)
+pytestmark = needs_speed
 SLOW = {"shoulder": 2.7, "arm": 2.0, "wrist": 3.9}
 """Speed below which the joint is stopped (rad/s). With valves as open as homing may it passes 6, 3 and 9."""
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numba
 import numpy as np
 import pytest
 
@@ -18,11 +17,10 @@ from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import SETTLING_TIMEOUT, LockstepEngine
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
+from tests.compiled_only import needs_speed
 from tests.sampling import release_except
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
+pytestmark = needs_speed
 
 SPACING = 101
 """Ticks between the instants that are tried."""

@@ -10,18 +10,15 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND
 from sim.plant import Plant, PlantParameters, Shaft, Site, advance, build_plant, initial_state
+from tests.compiled_only import needs_speed
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a downswing in fine steps takes minutes without compilation"
-)
+pytestmark = needs_speed
 
 POSITION = 1e-4  # m
 RELATIVE = 1e-4  # of speed, and as an angle of the velocity (rad)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -13,13 +12,10 @@ from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND
 from sim.plant import OPEN, SHUT, Plant, PlantParameters, Site, advance, build_plant, initial_state
 from sim.pneumatics import Friction
+from tests.compiled_only import needs_speed
 
 POSE = np.array([-0.2, 4.1, 5.6])
 LOCKED = Friction(viscous=0.0, coulomb=1e9, static=1e9)
-
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="hundreds of ticks take minutes without compilation"
-)
 
 
 def locked_plant(**fields: Any) -> Plant:
@@ -51,7 +47,7 @@ def history(plant: Plant, state: Any, ticks: int, command: Any) -> Any:
 POWERED: dict[str, Any] = {"supply_enable": True, "exhaust_closed": True, "guard_lock": True}
 
 
-@compiled_only
+@needs_speed
 def test_supply_soft_start_opens_over_set_time() -> None:
     plant = locked_plant()
     states = history(plant, initial_state(plant, POSE), 3000, command_of(**POWERED))
@@ -66,7 +62,7 @@ def test_supply_soft_start_opens_over_set_time() -> None:
     assert pressure[-1] <= supply.pressure
 
 
-@compiled_only
+@needs_speed
 def test_air_used_equals_manifold_fill() -> None:
     """Isothermal: mass = V (p - p0) / (R T), in kg."""
     plant = locked_plant(supply=replace(PlantParameters().supply, polytropic_exponent=1.0))
@@ -77,7 +73,7 @@ def test_air_used_equals_manifold_fill() -> None:
     assert state["air_used"][0] == pytest.approx(mass, rel=1e-6)
 
 
-@compiled_only
+@needs_speed
 def test_supply_pressure_sags_under_valve_flow() -> None:
     plant = build_plant(PlantParameters())
     state = initial_state(plant, POSE, pressurised=True)
@@ -85,7 +81,7 @@ def test_supply_pressure_sags_under_valve_flow() -> None:
     assert states["supply_pressure"].min() < 0.99 * plant.parameters.supply.pressure
 
 
-@compiled_only
+@needs_speed
 def test_manifold_supply_disabled_exhausts_to_atmosphere() -> None:
     plant = locked_plant()
     state = initial_state(plant, POSE, pressurised=True)
@@ -95,7 +91,7 @@ def test_manifold_supply_disabled_exhausts_to_atmosphere() -> None:
     assert state["supply_level"][0] == 0.0
 
 
-@compiled_only
+@needs_speed
 def test_vents_empty_chambers_after_delay() -> None:
     plant = locked_plant()
     state = initial_state(plant, POSE, pressurised=True)
@@ -122,7 +118,7 @@ def test_vents_exhaust_closed_restarts_delay() -> None:
     assert np.all(state["pressure"][0] < start)
 
 
-@compiled_only
+@needs_speed
 def test_relief_valves_open_only_above_set_pressure() -> None:
     plant = locked_plant()
     relief = plant.parameters.supply.relief_pressure
@@ -136,7 +132,7 @@ def test_relief_valves_open_only_above_set_pressure() -> None:
     assert states["pressure"][-1, 4:] == pytest.approx(start[4:], rel=1e-12)
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize(
     ("opens_at", "least", "most"),
     [(1.1, 8.8e5, 9.3e5), (4.0, 11.1e5, 11.2e5)],
@@ -149,7 +145,7 @@ def test_manifold_relief_valve_limits_regulator_surge(opens_at: float, least: fl
     assert least < states["supply_pressure"].max() <= most
 
 
-@compiled_only
+@needs_speed
 def test_manifold_relief_valve_closed_changes_nothing() -> None:
     kept = []
     for opens_at in (1.1, 4.0):
@@ -170,7 +166,7 @@ def test_guard_locks_only_when_closed() -> None:
         assert state["guard_locked"][0] == (closed and lock)
 
 
-@compiled_only
+@needs_speed
 def test_plant_peaks_match_motion() -> None:
     plant = build_plant(PlantParameters(site=Site(ground=-3.0)))
     state = initial_state(plant, POSE, pressurised=True)
@@ -248,7 +244,7 @@ def test_supply_or_shut_off_valve_closed_empties_manifold(
     assert bool(pressure[-1] < 1.1 * supply.atmosphere) is cut
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize("open_", ["emergency_stop_clear", "guard_closed"])
 @pytest.mark.parametrize("stuck", [0, SHUT])
 def test_safety_relay_emergency_stop_or_guard_vents_and_cuts_supply(open_: str, stuck: int) -> None:
@@ -268,7 +264,7 @@ def test_safety_relay_emergency_stop_or_guard_vents_and_cuts_supply(open_: str, 
     assert emptied[-1]
 
 
-@compiled_only
+@needs_speed
 def test_safety_relay_stuck_open_acts_as_emergency_stop() -> None:
     plant = build_plant(PlantParameters())
     plant.plant["relay_stuck"] = OPEN

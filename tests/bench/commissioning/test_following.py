@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 
@@ -14,13 +13,10 @@ from bench.config import Configuration
 from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Bench, Series
 from bench.swing.profile import Profile
-
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
+from tests.compiled_only import needs_speed
 
 
-@compiled_only
+@needs_speed
 def test_with_following_limits_shipped_robot_keeps_limits(
     configuration: Configuration, default: Profile
 ) -> None:
@@ -30,7 +26,7 @@ def test_with_following_limits_shipped_robot_keeps_limits(
 
 
 @pytest.mark.release
-@compiled_only
+@needs_speed
 def test_with_following_limits_lagging_robot_widens_limits(
     configuration: Configuration, default: Profile
 ) -> None:

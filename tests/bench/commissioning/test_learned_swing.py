@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import pytest
 
 from bench.commissioning.machine.step import (
@@ -22,10 +21,7 @@ from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile, save_profile
 from sim.impact import Delivery
-
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
+from tests.compiled_only import needs_speed
 
 
 class Unread(SimulatedRobot):
@@ -53,7 +49,7 @@ def test_read_mark_rounds_to_half_millimetre() -> None:
     assert read_mark(None) is None
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.release
 @pytest.mark.timeout(600)
 def test_learned_swing_face_marks_correct_length_error(tmp_path: Path, configuration: Configuration) -> None:

@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -45,6 +44,7 @@ from bench.swing.correction import Correction
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.plant import PlantParameters
+from tests.compiled_only import needs_speed
 
 PLANT = PlantParameters()
 
@@ -256,7 +256,7 @@ def test_limits_in_use_other_club_or_large_tee_shift_reports_stale(
     assert "another plant" in seen.source
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
+@needs_speed
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_min_relevant_tee_shift_changes_velocity_within_third_of_limit(
     default_profile: Profile, side: float

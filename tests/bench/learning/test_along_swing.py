@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -21,10 +20,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import advance, build_plant
 from tests.bench.hand_gains import HAND
-
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
+from tests.compiled_only import needs_speed
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +54,7 @@ def estimator(bench: Bench) -> Estimator:
     return steady_estimator(filters, bench.model.tick, bench.model.encoders.latency)
 
 
-@compiled_only
+@needs_speed
 def test_linearize_small_valve_step_matches_plant_response(bench: Bench, plants: list[LinearPlant]) -> None:
     """From one state of the backswing, sliding without dry friction, with two openings a little apart."""
     actuators = {
@@ -98,7 +94,7 @@ def test_linearize_small_valve_step_matches_plant_response(bench: Bench, plants:
             assert told[rows] == pytest.approx(truth[rows], abs=0.08 * np.abs(truth[rows]).max())
 
 
-@compiled_only
+@needs_speed
 def test_least_damping_stiff_wrist_predicts_hunting(
     bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
@@ -114,7 +110,7 @@ def test_least_damping_stiff_wrist_predicts_hunting(
     assert ratios[1] > 2.0 * ratios[0]
 
 
-@compiled_only
+@needs_speed
 def test_judge_gain_margin_matches_closed_loop_instability(
     bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
@@ -133,7 +129,7 @@ def test_judge_gain_margin_matches_closed_loop_instability(
         assert least_damping(frozen, estimator, above, period) < 0
 
 
-@compiled_only
+@needs_speed
 def test_gains_along_machine_gains_exceed_hand_gain_margins(
     bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
@@ -153,7 +149,7 @@ def test_gains_along_machine_gains_exceed_hand_gain_margins(
     assert min(machine.damping_ratio.values()) >= 0.1
 
 
-@compiled_only
+@needs_speed
 def test_tune_command_shows_margins_and_swings(capsys: pytest.CaptureFixture[str]) -> None:
     def shown(*options: str) -> str:
         with pytest.raises(SystemExit) as ended:

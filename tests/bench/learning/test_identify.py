@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -15,6 +14,7 @@ from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record
+from tests.compiled_only import needs_speed
 
 SHIPPED = load_configuration(shipped_configuration())
 BENCH = Bench(SHIPPED.plant, load_profile(find_profile(SHIPPED.swing.profile)), SHIPPED.control)
@@ -29,7 +29,7 @@ def nominal() -> np.ndarray:
 
 
 @pytest.mark.release
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
+@needs_speed
 def test_identify_two_swings_recovers_flow_and_inertia() -> None:
     truth = nominal()
     truth[FLOW], truth[INERTIA] = 0.92, 1.05

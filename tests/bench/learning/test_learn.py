@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -31,10 +30,9 @@ from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import build_plant
+from tests.compiled_only import needs_speed
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
+pytestmark = needs_speed
 
 SHIPPED = load_configuration(shipped_configuration())
 PLANT = SHIPPED.plant

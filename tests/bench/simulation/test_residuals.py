@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -18,6 +17,7 @@ from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
+from tests.compiled_only import needs_speed
 
 
 def _steady(swings: int) -> np.ndarray:
@@ -59,7 +59,7 @@ def _worn(plant: PlantParameters, band: float) -> PlantParameters:
     return replace(plant, wrist=replace(plant.wrist, valve=valve))
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a swing takes a minute without compilation")
+@needs_speed
 def test_wear_command_worn_valve_names_joint_before_swing_stops(
     configuration: Configuration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

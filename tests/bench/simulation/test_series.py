@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import pytest
 
 from bench.base.errors import Refused
@@ -12,10 +11,9 @@ from bench.control.estimate.residual_monitor import LEARNING
 from bench.simulation.series import ADDRESS_TRIES, Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from tests.compiled_only import needs_speed
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
+pytestmark = needs_speed
 
 
 class StoppedAtTheAddress(Series):

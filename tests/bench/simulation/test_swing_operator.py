@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 
@@ -16,12 +15,11 @@ from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.plant import PlantParameters, build_plant
+from tests.compiled_only import needs_speed
 
 PLANT = PlantParameters()
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
+pytestmark = needs_speed
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -49,12 +48,10 @@ from drivers.base.records import READINGS
 from drivers.canopen.frames import MAX_LOAD, bus_load
 from sim.driver import PacedPlantDriver
 from sim.exchange import SurroundingsWriter
+from tests.compiled_only import needs_speed
 
 BOUNDS = MotionBounds((10.0, 10.0, 20.0), (3.0, 3.0, 5.0), 9e5)
 OPENING = (0.1, 0.0, 0.0)
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
 
 
 class WatchedDriver(PacedPlantDriver):
@@ -211,7 +208,7 @@ def test_machine_server_swing_not_armed_raises(server: MachineServer, slow: Prof
         server.obey("swing", slow, False)
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_arms_and_swings_with_and_without_ball(
     server: MachineServer, driver: WatchedDriver, configuration: Configuration, slow: Profile
@@ -231,7 +228,7 @@ def test_machine_server_arms_and_swings_with_and_without_ball(
     assert driver.commands[-1] == PASSIVE
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_arm_refused_briefly_is_repeated(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
@@ -251,7 +248,7 @@ def test_machine_server_arm_refused_briefly_is_repeated(
     server.obey("vent", 40.0)
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_arm_refused_reports_state_and_reason(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
@@ -273,7 +270,7 @@ def test_machine_server_arm_refused_reports_state_and_reason(
     server.obey("vent", 40.0)
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_release_guard_shuts_supply_until_lock_guard(
     server: MachineServer,
@@ -301,7 +298,7 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
     assert server.obey("swing", slow, True).cause is Cause.NONE
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_stop_in_swing_is_refused(
     server: MachineServer, configuration: Configuration, slow: Profile, asked: list[bool]
@@ -313,7 +310,7 @@ def test_machine_server_stop_in_swing_is_refused(
     server.close()
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
     server: MachineServer,
@@ -341,7 +338,7 @@ def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
     assert "stall of this machine" in repeated
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_arm_stopped_by_stall_is_repeated_and_reported(
     server: MachineServer,
@@ -374,7 +371,7 @@ def test_machine_server_arm_stopped_by_stall_is_repeated_and_reported(
     server.obey("vent", 40.0)
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("stalls", "ends"), [(ADDRESS_TRIES + 1, False), (99, True)])
 def test_machine_server_stalls_at_address_repeat_up_to_limit(
@@ -407,7 +404,7 @@ def test_machine_server_stalls_at_address_repeat_up_to_limit(
     assert sum("stopped at the address" in text for text in said) == ADDRESS_TRIES + 1
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_stall_in_each_arming_ends_named_as_stall(
     server: MachineServer,
@@ -424,7 +421,7 @@ def test_machine_server_stall_in_each_arming_ends_named_as_stall(
     assert sum("it is armed again" in text for text in said) == 2
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_swing_without_ball_is_refused(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -33,6 +32,7 @@ from bench.simulation.safety import Loads
 from bench.simulation.series import Bench, SeriesSwing
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
+from tests.compiled_only import needs_speed
 
 GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 2.0, 4.0], [3.0, 2.0, 4.0]]))
 OTHER_PREDICTIONS = (([0.05, 0.01, 0.1], 30.3), ([0.01, 0.02, 0.05], 31.8))
@@ -40,9 +40,6 @@ OTHER_PREDICTIONS = (([0.05, 0.01, 0.1], 30.3), ([0.01, 0.02, 0.05], 31.8))
 TIGHT = {"backswing": (1e-4, 1e-4, 1e-4)}
 SPEED = 43.2
 """Head speed of the default swing, m/s."""
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +60,7 @@ def test_slowed_swing_keeps_path(configuration: Configuration, default: Profile)
     assert np.abs(slow.valve).max() <= 1.0
 
 
-@compiled_only
+@needs_speed
 def test_slowed_swing_head_speed_matches_share(
     tmp_path: Path, configuration: Configuration, default: Profile
 ) -> None:
@@ -82,7 +79,7 @@ def test_slowed_swing_head_speed_matches_share(
         require_as_predicted(deviation(bench, predicted, other), other.cause, "swing of 50 %")
 
 
-@compiled_only
+@needs_speed
 def test_slow_swing_downswing_velocity_deviation_is_small(
     configuration: Configuration, default: Profile
 ) -> None:
@@ -96,7 +93,7 @@ def test_slow_swing_downswing_velocity_deviation_is_small(
 
 
 @pytest.mark.release
-@compiled_only
+@needs_speed
 def test_slow_swing_stopped_in_prediction_is_designed(
     monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:
@@ -214,7 +211,7 @@ class _Stumbling:
         return made
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.timeout(600)
 def test_rising_swings_full_swing_uses_generated_limits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile

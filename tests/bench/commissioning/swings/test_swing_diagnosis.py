@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -21,13 +20,12 @@ from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from bench.simulation.series import ArmingFailed, Bench, ReturnFailed
 from bench.swing.profile import Profile
 from tests.bench.commissioning.wrong_machines import measured_values, swung_wrongly, true_robot
+from tests.compiled_only import needs_speed
 from tests.sampling import release_except
 
 CASES = swung_wrongly(load_configuration(shipped_configuration()).plant)
 pytestmark = [
-    pytest.mark.skipif(
-        bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-    ),
+    needs_speed,
     pytest.mark.timeout(900),
 ]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 import pytest
 
@@ -24,12 +23,9 @@ from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
+from tests.compiled_only import needs_speed
 
 Values = tuple[WearingValue, ...]
-
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a swing takes a minute without compilation"
-)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +57,7 @@ def _changes(parts: Sequence[PartWear]) -> dict[tuple[str, str], float]:
     return {(one.value.part, one.value.name): one.latest for one in parts}
 
 
-@compiled_only
+@needs_speed
 def test_worn_parts_several_changes_are_found_in_one_swing(bench: SimulatedBench) -> None:
     plant = bench.plant
     band, speed = plant.right_arm.valve.dead_band, plant.wrist.valve.natural_frequency
@@ -90,7 +86,7 @@ def test_worn_parts_several_changes_are_found_in_one_swing(bench: SimulatedBench
     assert others - {("shoulder seals", "leak"), ("club", "head mass")} <= set(expected)  # hardly determined
 
 
-@compiled_only
+@needs_speed
 def test_worn_parts_stopped_arming_names_valve_not_sensor(bench: SimulatedBench) -> None:
     powered = _powered(bench, with_values(bench.plant, {"right_arm.valve.centre": 0.008}))
     with pytest.raises(Refused, match="check its sensor"):
@@ -100,7 +96,7 @@ def test_worn_parts_stopped_arming_names_valve_not_sensor(bench: SimulatedBench)
     assert worn[0].latest == pytest.approx(0.008, rel=0.1)
 
 
-@compiled_only
+@needs_speed
 def test_worn_parts_sensor_offset_names_sensor_not_valve(bench: SimulatedBench) -> None:
     cycles = _swung(bench, bench.plant).copy()
     cycles["chamber_pressure"][:, 2] += 1.5e4
@@ -109,7 +105,7 @@ def test_worn_parts_sensor_offset_names_sensor_not_valve(bench: SimulatedBench) 
     assert worn[0].latest == pytest.approx(1.5e4, rel=0.3)
 
 
-@compiled_only
+@needs_speed
 def test_worn_parts_fault_free_robot_finds_none(bench: SimulatedBench) -> None:
     assert not [one for one in _parts(bench, _swung(bench, bench.plant)) if one.is_worn]
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from math import pi
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given
@@ -28,14 +27,12 @@ from sim.dynamics import chambers
 from sim.kane import inverse_dynamics
 from sim.plant import PlantParameters, build_plant
 from tests.bench.control.puppet import ADDRESS, SAMPLES, STILL, Puppet
+from tests.compiled_only import needs_speed
 
 Array = np.ndarray[Any, Any]
 
 PLANT = PlantParameters()
 MACHINE = build_plant(PLANT).plant
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
 
 
 def plant_force_rate(i: int, pressure: Array, opening: float, position: float, speed: float) -> float:
@@ -180,7 +177,7 @@ def rms(cycles: Array, first: int, last: int) -> Array:
     return np.asarray(np.sqrt(np.mean((rows["reference_angle"] - rows["plant_angle"]) ** 2, axis=0)))
 
 
-@compiled_only
+@needs_speed
 def test_pneumatic_feed_forward_without_sensors_halves_following_error(shipped: Bench) -> None:
     blind = replace(shipped.model, pressure_sensors=False)
     begins, errors = shipped.profile.begins, {}
@@ -192,7 +189,7 @@ def test_pneumatic_feed_forward_without_sensors_halves_following_error(shipped: 
     assert errors["kane+pneumatic"].max() < 0.5 * errors["none"].max()
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize("worn", [False, True], ids=["nominal", "worn"])
 def test_observer_force_error_is_small(shipped: Bench, worn: bool) -> None:
     plant = replace(shipped.model, pressure_sensors=False)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -29,6 +28,7 @@ from sim.plant import PlantParameters, build_plant
 from sim.pneumatics import flow
 from tests.bench.commissioning.drawn_robots import drawn_robot
 from tests.bench.control.puppet import QUICK, STILL, Puppet
+from tests.compiled_only import needs_speed
 from tests.sampling import release_except
 
 Array = np.ndarray[Any, Any]
@@ -39,9 +39,6 @@ NEAR_GROUND = replace(PLANT, site=replace(PLANT.site, ground=-1.62))
 TOLERANCE = SIMULATED.pressure_tolerance
 LOOKED_AT = 1.02 * TOLERANCE
 """Pa, where the engine looks every ten ticks only: chambers leak."""
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="seconds of holding take minutes without compilation"
-)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +115,7 @@ def test_dither_amplitudes_exceed_dead_band(profile: Profile) -> None:
 # How it is brought ------------------------------------------------------------------------------------
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize(
     "plant",
     [PLANT, replace(PLANT, pressure_sensors=False), WORN.applied_to(PLANT)],
@@ -143,7 +140,7 @@ def test_address_pressure_swing_refused_until_chambers_reach_plan(
     assert not bench.control["address_air"]["ready"][0]
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize("chamber", range(6))
 @pytest.mark.parametrize("change", [-0.5e5, 0.5e5])
 def test_address_pressure_disturbed_chamber_returns_to_plan(
@@ -158,7 +155,7 @@ def test_address_pressure_disturbed_chamber_returns_to_plan(
     assert np.abs(deviation(bench, profile)).max() < LOOKED_AT
 
 
-@compiled_only
+@needs_speed
 def test_address_pressure_minute_of_hold_stays_in_tolerance(profile: Profile) -> None:
     bench = bench_on(profile)
     bench.arm()
@@ -174,14 +171,14 @@ def test_address_pressure_minute_of_hold_stays_in_tolerance(profile: Profile) ->
     assert np.abs(deviation(bench, profile)).max() < LOOKED_AT
 
 
-@compiled_only
+@needs_speed
 def test_start_swing_waits_for_planned_air(profile: Profile) -> None:
     bench = bench_on(profile)
     bench.arm()
     assert bench.start_swing(1, 10)
 
 
-@compiled_only
+@needs_speed
 def test_precharge_near_ground_keeps_head_height(profile: Profile) -> None:
     low = np.array([-0.012, 4.404, 6.271])
     bench = bench_on(profile, NEAR_GROUND, low, NEAR_GROUND)
@@ -195,7 +192,7 @@ def test_precharge_near_ground_keeps_head_height(profile: Profile) -> None:
     assert bench.run_until(bench.holding, 10.0)
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize("shoulder", [0.107, 0.208])
 def test_arming_low_head_raises_clearance(profile: Profile, shoulder: float) -> None:
     low = np.array([shoulder, 4.404, 6.275])
@@ -209,7 +206,7 @@ def test_arming_low_head_raises_clearance(profile: Profile, shoulder: float) -> 
     assert bench.loads().lowest_clearance > clearance - 0.001
 
 
-@compiled_only
+@needs_speed
 def test_arming_low_head_pushed_down_reports_ground(profile: Profile) -> None:
     bench = bench_on(profile, NEAR_GROUND, np.array([0.107, 4.404, 6.275]), NEAR_GROUND)
     bench.request(Request.ARM)
@@ -224,7 +221,7 @@ def test_arming_low_head_pushed_down_reports_ground(profile: Profile) -> None:
 # What comes of it when it fails -----------------------------------------------------------------------
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize("chamber", range(6))
 def test_pressure_timeout_names_chamber(profile: Profile, chamber: int) -> None:
     air = list(profile.air)
@@ -312,7 +309,7 @@ def test_feed_forward_planned_air_omits_dead_band_opening(*, planned: bool) -> N
     assert control["feed_forward"] - ahead - damping == pytest.approx(band, rel=0.1, abs=1e-4)
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize("seed", release_except({1000002}, [1000001, 1000002, 1000003, 1000006]))
 def test_arming_soft_shoulder_reaches_address(seed: int) -> None:
     """A small vane with low pressure and large dead bands slipped to and fro by 0.1 rad until its timeout.
@@ -387,7 +384,7 @@ def machine(profile: Profile, **valve: float) -> tuple[PlantParameters, Profile]
     return plant, with_planned_air(profile, plant)
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize(
     "valve",
     [
@@ -410,7 +407,7 @@ def test_address_pressure_known_valves_reach_plan(valve: dict[str, float], profi
 
 
 @pytest.mark.release
-@compiled_only
+@needs_speed
 def test_hold_stick_slip_joint_stays_at_address(profile: Profile) -> None:
     """A shoulder with much friction, little area, and a plan far from what its spool swings to.
 
@@ -433,7 +430,7 @@ def test_hold_stick_slip_joint_stays_at_address(profile: Profile) -> None:
         assert np.abs(held - planned.angle[0]).max() < 0.02
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize("seed", [1_000_002, 1_000_015])
 def test_arming_unmodelled_leakage_reaches_planned_air(profile: Profile, seed: int) -> None:
     """An arm with much leakage: what its model missed pushed as hard as its loosening.
@@ -477,7 +474,7 @@ def test_dither_periods_slow_spool_lengthens_period() -> None:
     assert np.all(dither_periods(replace(PLANT, wrist=quick)) == usual)
 
 
-@compiled_only
+@needs_speed
 def test_swing_known_spool_centre_keeps_delivery(profile: Profile) -> None:
     """Openings are relative to the spool's centre: a profile also holds for other valves."""
     delivered = []
@@ -491,7 +488,7 @@ def test_swing_known_spool_centre_keeps_delivery(profile: Profile) -> None:
     assert beside.in_plane_error == pytest.approx(straight.in_plane_error, abs=0.001)
 
 
-@compiled_only
+@needs_speed
 def test_standing_robot_offset_centre_commands_zero(profile: Profile) -> None:
     plant, planned = machine(profile, centre=0.03)
     bench = LockstepEngine(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -23,13 +22,10 @@ from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose
 from sim.plant import build_plant
 from tests.bench.control.puppet import STILL, Puppet
+from tests.compiled_only import needs_speed
 
 _ARMING = 600
 """Tens of ticks."""
-
-compiled_only = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="seconds of arming take minutes without compilation"
-)
 
 
 @cache
@@ -81,7 +77,7 @@ def test_joint_progress_arm_first_moves_joints_in_separate_halves() -> None:
     assert joint_progress(0.3, 0, False) == joint_progress(0.3, 1, False) == 0.3
 
 
-@compiled_only
+@needs_speed
 @pytest.mark.parametrize("seed", [54, 75])
 def test_arming_sticking_arm_keeps_head_above_ground(seed: int) -> None:
     """A right arm held by friction passed 4 mm above the ground on its way, where 5 stop it."""
