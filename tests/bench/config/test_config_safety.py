@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bench.config.files import load_configuration
-from bench.config.safety import BOUNDS, Bound, check_safety
+from bench.config.rules import BOUNDS, Bound, check_safety
 from bench.config.settings import Configuration
 
 REAL = (
