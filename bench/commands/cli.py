@@ -26,7 +26,7 @@ from typer.models import CommandInfo, TyperInfo
 
 from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode
 from bench.base.interrupt import Terminated, leave
-from bench.commands.common.command import Session, flag
+from bench.commands.common import Session, flag
 
 if TYPE_CHECKING:
     from typer.core import TyperCommand

@@ -31,7 +31,7 @@ from rich.table import Table
 
 from bench.base.lifecycle import Request, State
 from bench.commands.bench.simulators import nodes_plan
-from bench.commands.common.output import progress_bar
+from bench.commands.common import progress_bar
 from bench.config import Configuration, load_configuration
 from bench.supervisor.child_process import TIMING_FILE, Child, LoopPlan
 from bench.supervisor.loop_link import LoopLink

@@ -6,8 +6,7 @@ import argparse
 from collections.abc import Callable, Hashable, Sequence
 from typing import TypeVar
 
-from bench.commands.common.command import sweep_engine
-from bench.commands.common.output import progress_bar
+from bench.commands.common import progress_bar, sweep_engine
 from bench.config import Configuration, load_configuration
 from bench.simulation.sweep import Study, SweepStore, sweep
 

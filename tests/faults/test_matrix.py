@@ -17,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 import bench.faults.matrix
-from bench.commands.common.command import Session
+from bench.commands.common import Session
 from bench.commands.machine.faults import app, matrix_page, matrix_table
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.faults.case import Workbench

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from typer.core import TyperGroup
 
     from bench.base.address import BenchAddress
-    from bench.commands.common.command import Session
+    from bench.commands.common import Session
     from bench.network.bench_service import BenchStatus
 
 ELSEWHERE = frozenset({"console", "nodes", "page", "run"})

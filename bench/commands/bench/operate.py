@@ -17,7 +17,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from bench.base.errors import BenchError, Refused
-from bench.commands.common.command import Json, Session, exit_unless, flag, option, show_json, user_name
+from bench.commands.common import Json, Session, exit_unless, flag, option, show_json, user_name
 from bench.network.lease import DEFAULT_SECONDS, MAX_SECONDS, MIN_SECONDS
 
 if TYPE_CHECKING:

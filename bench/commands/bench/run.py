@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bench.base.errors import BenchError
-from bench.commands.common.command import Session, argument, flag, option, show_json
+from bench.commands.common import Session, argument, flag, option, show_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -136,7 +136,7 @@ def _summary(c: Configuration) -> str:
 def _check_table(checks: Sequence[Check]) -> Table:
     from rich.text import Text
 
-    from bench.commands.common.output import plain_table
+    from bench.commands.common import plain_table
 
     table = plain_table("", "checked", "found", "allowed")
     for check in checks:

@@ -15,7 +15,7 @@ import typer
 
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.base.interrupt import stop_on_signals
-from bench.commands.common.command import Session, flag, option
+from bench.commands.common import Session, flag, option
 
 if TYPE_CHECKING:
     from bench.config import Configuration
@@ -112,7 +112,7 @@ def nodes(
         show_scan(configuration)
         return
     if dbc is not None:
-        from bench.commands.common.output import write_text
+        from bench.commands.common import write_text
         from drivers.canopen.frames import dbc_text
 
         c = configuration

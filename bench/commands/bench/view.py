@@ -12,8 +12,7 @@ import typer
 
 from bench.base.errors import BenchError
 from bench.base.interrupt import stop_on_signals
-from bench.commands.common.command import Session, flag, option
-from bench.commands.common.output import progress_bar
+from bench.commands.common import Session, flag, option, progress_bar
 
 if TYPE_CHECKING:
     import rerun as rr

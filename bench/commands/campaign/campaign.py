@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from bench.base.errors import BenchError, Refused
-from bench.commands.common.command import (
+from bench.commands.common import (
     Json,
     Session,
     argument,
@@ -146,7 +146,7 @@ def report(
 
 def _worn_parts(stored: Sequence[StoredShot], data_dir: Path) -> Figure:
     """Return the chart of the robot's worn parts over the `stored` shots."""
-    from bench.commands.common.output import progress_of
+    from bench.commands.common import progress_of
     from bench.commissioning.swings.wear import MAX_FITTED, fitted_parts, wear_plot
 
     files = [data_dir / one.file for one in stored if one.file]

@@ -17,7 +17,7 @@ from bench.base.errors import BenchError, Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.campaign.campaign import Id, Units, app, found_campaign, has_store, open_store
 from bench.commands.campaign.campaign_new import new
-from bench.commands.common.command import (
+from bench.commands.common import (
     Json,
     Session,
     argument,

@@ -33,7 +33,7 @@ from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
 from bench.campaign.interruptions import duration_text
-from bench.commands.common.command import at_terminal, user_name
+from bench.commands.common import at_terminal, user_name
 from bench.records.shot.shot import ShotStatus
 from bench.store.records import (
     ENDED,

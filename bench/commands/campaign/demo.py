@@ -37,7 +37,7 @@ from bench.campaign.run.runner import RunOutcome
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
 from bench.commands.campaign.campaign_terminal import ProgressScreen, campaign_bar
 from bench.commands.campaign.demo_bench import BenchPlan
-from bench.commands.common.output import plain_table
+from bench.commands.common import plain_table
 from bench.config import Configuration, database_url
 from bench.network.client import BenchClient
 from bench.records.shot.recorded_shot import read_shot

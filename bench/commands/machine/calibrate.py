@@ -14,17 +14,17 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
-from bench.commands.common.command import (
+from bench.commands.common import (
     Json,
     Session,
     argument,
     exit_unless,
     flag,
     option,
+    plain_table,
     show_json,
     user_name,
 )
-from bench.commands.common.output import plain_table
 from bench.commands.machine.commission import inputs
 from drivers.base.ranges import read_number
 

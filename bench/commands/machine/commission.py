@@ -14,8 +14,17 @@ from rich.console import Console
 from rich.progress import Progress
 
 from bench.base.errors import BenchError
-from bench.commands.common.command import Session, at_terminal, flag, option, show_json, user_name
-from bench.commands.common.output import paused, plain_table, progress_bar
+from bench.commands.common import (
+    Session,
+    at_terminal,
+    flag,
+    option,
+    paused,
+    plain_table,
+    progress_bar,
+    show_json,
+    user_name,
+)
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from rich.text import Text
 
 from bench.base.atomic_file import nearest_entry
 from bench.base.clock import GridClock
-from bench.commands.common.output import plain_table
+from bench.commands.common import plain_table
 from bench.supervisor.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK, real_time
 
 SCHEMA_VERSION = 1

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 from rich.console import Console
 
-from bench.commands.common.command import Json, Session, exit_unless, show_json
-from bench.commands.common.output import progress_bar
+from bench.commands.common import Json, Session, exit_unless, progress_bar, show_json
 from bench.commands.machine.doctor import (
     ItemResult,
     Probe,

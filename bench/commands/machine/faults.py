@@ -14,19 +14,21 @@ from rich.table import Table
 
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
-from bench.commands.common.command import (
+from bench.commands.common import (
     ClusterAddress,
     Json,
     Processes,
     ProfileName,
     Session,
     argument,
+    console_of,
     exit_unless,
     flag,
     option,
+    progress_of,
     sweep_engine,
+    write_text,
 )
-from bench.commands.common.output import console_of, progress_of, write_text
 
 if TYPE_CHECKING:
     from bench.faults.matrix import FaultStudy, MatrixPlan

@@ -15,8 +15,18 @@ from rich.table import Table
 
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
-from bench.commands.common.command import ClubName, ClusterAddress, Processes, Session, option, sweep_engine
-from bench.commands.common.output import console_of, plain_table, progress_of_steps, write_text
+from bench.commands.common import (
+    ClubName,
+    ClusterAddress,
+    Processes,
+    Session,
+    console_of,
+    option,
+    plain_table,
+    progress_of_steps,
+    sweep_engine,
+    write_text,
+)
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:

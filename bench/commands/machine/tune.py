@@ -10,8 +10,16 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from bench.commands.common.command import Json, ProfileName, Session, exit_unless, show_json
-from bench.commands.common.output import finite, plain_table, progress_bar
+from bench.commands.common import (
+    Json,
+    ProfileName,
+    Session,
+    exit_unless,
+    finite,
+    plain_table,
+    progress_bar,
+    show_json,
+)
 
 if TYPE_CHECKING:
     from bench.control.law.gain_scheduling import MachineGains

@@ -12,17 +12,19 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.errors import BenchError
-from bench.commands.common.command import (
+from bench.commands.common import (
     Json,
     Plot,
     Session,
     argument,
     exit_unless,
+    finite,
     option,
+    plain_table,
+    progress_of,
     require_picture,
     show_json,
 )
-from bench.commands.common.output import finite, plain_table, progress_of
 
 if TYPE_CHECKING:
     from bench.commissioning.swings.wear import PartWear

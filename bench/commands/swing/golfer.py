@@ -14,8 +14,18 @@ from rich.markup import escape
 from rich.table import Table
 
 from bench.base.errors import BenchError
-from bench.commands.common.command import Json, Plot, Session, argument, option, require_picture, show_json
-from bench.commands.common.output import console_of, finite, plain_table
+from bench.commands.common import (
+    Json,
+    Plot,
+    Session,
+    argument,
+    console_of,
+    finite,
+    option,
+    plain_table,
+    require_picture,
+    show_json,
+)
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:

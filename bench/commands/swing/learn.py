@@ -15,7 +15,7 @@ from rich.table import Table
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT
-from bench.commands.common.command import (
+from bench.commands.common import (
     ClubName,
     Json,
     Session,
@@ -24,10 +24,12 @@ from bench.commands.common.command import (
     flag,
     known_profiles,
     option,
+    paused,
+    plain_table,
+    progress_bar,
     require_folder,
     show_json,
 )
-from bench.commands.common.output import paused, plain_table, progress_bar
 from bench.swing.correction_terms import Source
 from drivers.base.ranges import read_number
 

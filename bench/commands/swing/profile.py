@@ -17,7 +17,7 @@ from rich.text import Text
 
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
-from bench.commands.common.command import (
+from bench.commands.common import (
     ClubName,
     ClusterAddress,
     Json,
@@ -29,10 +29,11 @@ from bench.commands.common.command import (
     flag,
     known_profiles,
     option,
+    plain_table,
+    progress_of,
     show_json,
     sweep_engine,
 )
-from bench.commands.common.output import plain_table, progress_of
 from bench.commands.swing.profile_design import design
 
 if TYPE_CHECKING:

@@ -10,18 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from bench.base.errors import BenchError, Refused
-from bench.commands.common.command import (
+from bench.commands.common import (
     ClubName,
     ClusterAddress,
     Processes,
     Session,
     argument,
+    console_of,
     flag,
     option,
+    progress_bar,
+    progress_of_steps,
     require_folder,
     sweep_engine,
 )
-from bench.commands.common.output import console_of, progress_bar, progress_of_steps
 
 if TYPE_CHECKING:
     from bench.config import Configuration

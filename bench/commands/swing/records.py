@@ -15,18 +15,22 @@ from rich.markup import escape
 from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
-from bench.commands.common.command import (
+from bench.commands.common import (
     Json,
     Plot,
     Session,
     argument,
+    console_of,
     exit_unless,
+    finite,
     flag,
     option,
+    plain_table,
+    progress_bar,
+    progress_of,
     require_picture,
     show_json,
 )
-from bench.commands.common.output import console_of, finite, plain_table, progress_bar, progress_of
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -12,7 +12,7 @@ import pytest
 
 from bench.base.address import identity_files
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.commands.common.command import sweep_engine
+from bench.commands.common import sweep_engine
 from bench.config import load_configuration
 from bench.network.certificates import make_authority, make_certificate, write_identity
 from bench.simulation import cluster_engine

@@ -11,7 +11,7 @@ from cantools.database.can import Database
 from typer.testing import CliRunner
 
 from bench.commands.cli import app
-from bench.commands.common.command import Session
+from bench.commands.common import Session
 from drivers.base import CHAMBERS, JOINTS, Command
 from drivers.canopen.frames import dbc_text, traffic
 from drivers.canopen.settings import CanopenSettings

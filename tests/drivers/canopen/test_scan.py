@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.commands.cli import app
-from bench.commands.common.command import Session
+from bench.commands.common import Session
 from drivers.base import PASSIVE, DriverError
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.scan import ScannedNode, scan

@@ -40,7 +40,7 @@ from bench.commands.bench.console import (
     history,
 )
 from bench.commands.cli import command_line, main
-from bench.commands.common.command import Session
+from bench.commands.common import Session
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane

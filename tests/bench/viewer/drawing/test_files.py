@@ -14,7 +14,7 @@ import typer.testing
 
 from bench.base.errors import BenchError
 from bench.commands.cli import app
-from bench.commands.common.command import Session
+from bench.commands.common import Session
 from bench.viewer.drawing.bodies import DrawnBody, Ellipsoid, Part
 from bench.viewer.drawing.drawing import draw, placed
 from bench.viewer.drawing.model_files import (

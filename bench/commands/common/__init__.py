@@ -1,1 +1,0 @@
-"""Parts that commands share: session, options, output, progress."""
