@@ -1,4 +1,4 @@
-"""The whole matrix: the plan of its cases, and their run as a sweep that may be interrupted."""
+"""The whole matrix: a case from its instant to rest, the plan of the cases, and their run as a sweep."""
 
 from __future__ import annotations
 
@@ -6,17 +6,26 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from math import pi
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zlib import crc32
 
+import numpy as np
+
+from bench.base.errors import Refused
+from bench.base.lifecycle import CAUSE_TEXT, Request, State
 from bench.config import Configuration
-from bench.faults.case import Workbench
+from bench.control.settings import SIMULATED, build_controller, holding_pressure
+from bench.control.step_records import ControlParameters, new_control_state
+from bench.faults.case_run import Watch, WatchedRun, next_swing
 from bench.faults.catalogue import (
     ACCESS,
     INTO_A_STOP,
     START,
     Breakage,
+    Event,
     Instant,
     dense_instants,
     instants_of,
@@ -24,11 +33,220 @@ from bench.faults.catalogue import (
     stopped_instants,
 )
 from bench.faults.compound_faults import CATALOGUE
-from bench.faults.verdict import CaseOutcome
+from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
+from bench.simulation.lockstep import Lockstep
+from bench.simulation.safety import SafetyLimits
 from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep
+from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
-from sim.faults import sort_of
+from sim.driver import hanging_pose
+from sim.faults import own_records, sort_of
+from sim.plant import Plant, build_plant
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+_MAX_DURATION = 40.0
+"""Longest watch of a case, s."""
+_MAX_SEARCH_TIME = 30.0
+"""Additional time for a case that starts in the search and continues to a swing, s."""
+_MAX_ACCESS_TIME = 60.0
+"""Additional time for a case that vents, releases the guard and continues to a swing, s."""
+_KEPT = 8
+"""Undisturbed benches and runs that are kept: a run has up to 90 s of records, a sweep goes by instants."""
+_ASK_AFTER = 0.2
+"""Time in hold or standing from the fault to the next request, s."""
+
+
+class Workbench:
+    """A plant, a profile and settings; each case begins in their undisturbed run."""
+
+    def __init__(
+        self, configuration: Configuration, profile: Profile, *, model_check: bool | None = None
+    ) -> None:
+        """Build plant and controllers; `model_check` overrides the configuration."""
+        c = configuration
+        self.profile, self.configuration = profile, c
+        self.envelope = c.envelope
+        if model_check is not None:
+            self.envelope = c.envelope.with_model_check("always" if model_check else "off")
+        self.plant: Plant = build_plant(c.plant)
+        lifecycle = replace(
+            c.lifecycle, warning_time=SIMULATED.warning_time, hold_between_swings=True, local_reset=True
+        )
+        self.parameters = build_controller(c.plant, profile, c.control, self.envelope, c.estimator, lifecycle)
+        self.period = c.plant.tick
+        self._bases: dict[Instant, LockstepEngine] = {}
+        self._ends: dict[tuple[Instant, Event, float], WatchedRun] = {}
+        self._lifecycle = lifecycle
+
+    @cached_property
+    def _homing(self) -> tuple[Plant, ControlParameters]:
+        """The same machine with encoders that count from switching on, homed by their index."""
+        c = self.configuration
+        counts = c.plant.encoders.counts_per_revolution
+        marks = hanging_pose(c.plant) + np.array([-0.6, -0.4, -0.4])
+        a, b, c_ = (float(np.floor(-angle * counts / (2 * pi))) for angle in marks)
+        encoders = replace(c.plant.encoders, incremental=True, zero_count=(a, b, c_))
+        plant = replace(c.plant, encoders=encoders)
+        homing = replace(c.homing, method="index")
+        return build_plant(plant), build_controller(
+            plant, self.profile, c.control, self.envelope, c.estimator, self._lifecycle, homing
+        )
+
+    @cached_property
+    def _absolute(self) -> tuple[Plant, ControlParameters]:
+        """The machine of the shipped configuration, homed by its hanging pose."""
+        c = self.configuration
+        homing = replace(c.homing, method="absolute")
+        return self.plant, build_controller(
+            c.plant, self.profile, c.control, self.envelope, c.estimator, self._lifecycle, homing
+        )
+
+    def base(self, instant: Instant) -> LockstepEngine:
+        """Return the undisturbed bench at `instant`.
+
+        Raises:
+            Refused: the undisturbed bench does not get there.
+        """
+        instant = replace(instant, delay=0.0)
+        if instant not in self._bases:
+            _keep(self._bases, instant, self._brought_to(instant))
+        return self._bases[instant].copy()
+
+    def _brought_to(self, instant: Instant) -> LockstepEngine:
+        plant, parameters, unhomed = self.plant, self.parameters, instant.phase in ("start", "homing")
+        if unhomed:
+            plant, parameters = self._absolute if instant.label == "absolute" else self._homing
+        stepper = Lockstep(plant, parameters, hanging_pose(plant.parameters))
+        bench = LockstepEngine(stepper, name=self.profile.name)
+        if unhomed:
+            stepper.state = new_control_state(State.SAFE)
+            if instant.phase == "homing":
+                bench.advance(20)
+                bench.request(Request.HOME)
+                bench.advance(instant.tick)
+        else:
+            bench.advance(200)
+            if instant.phase != "standing":
+                bench.arm()
+                bench.control["tee"] = True
+                bench.advance(400)
+                bench.await_air()
+                if instant.phase == "access":
+                    if instant.label == "inside":
+                        _enter(bench)
+                elif instant.phase != "hold":
+                    bench.advance(instant.tick, Request.SWING)
+        if bench.cause:
+            raise Refused(
+                f"fault matrix of profile {self.profile.name!r}",
+                f"the undisturbed bench stopped before {instant.name}: {CAUSE_TEXT[bench.cause]}",
+                "an undisturbed swing that runs to its end",
+                "Try it with `golfbench profile simulate`.",
+            )
+        return bench
+
+    def run(self, breakage: Breakage, instant: Instant) -> CaseOutcome:
+        """Return the outcome of `breakage` at `instant`, with the report of the next swing if undetected."""
+        watch = self._watched(instant, breakage)
+        healthy = self._healthy(instant, _event_of(breakage), breakage.event_after)
+        outcome = judge_case(self._limits, breakage, instant, watch.run(), healthy)
+        if outcome.verdict != "undetected":
+            return outcome
+        return replace(outcome, next_swing=next_swing(watch.bench))
+
+    def _healthy(self, instant: Instant, event: Event, after: float = 0.0) -> WatchedRun:
+        """Return the run from `instant` without a fault, with `event` (stop or missing ball) `after` s."""
+        key = replace(instant, delay=0.0), event, after
+        if key not in self._ends:
+            _keep(self._ends, key, self._watched(key[0], None, event, after).run())
+        return self._ends[key]
+
+    @cached_property
+    def _limits(self) -> CaseLimits:
+        """Limits of all cases; the head may be as fast as undisturbed, with or without a ball."""
+        hold = Instant("hold", 0)
+        runs = [self._healthy(hold, event) for event in _WITH_AND_WITHOUT_BALL]
+        safety = SafetyLimits(
+            min_frame_distance=self.envelope.min_frame_distance,
+            access_pressure=1.01 * holding_pressure(self.configuration.plant),
+        )
+        return CaseLimits(self.period, safety, max(run.loads.peak_head_speed for run in runs))
+
+    def _watched(
+        self, instant: Instant, breakage: Breakage | None, event: Event = "", after: float = 0.0
+    ) -> Watch:
+        """Run from `instant` until everything rests; without a `breakage` with `event` `after` s."""
+        bench = self.base(instant)
+        bench.stepper.plant = own_records(bench.stepper.plant)
+        bench.reset_peaks()
+        if breakage is not None:
+            event, after = breakage.event, breakage.event_after
+        if event == "no ball":
+            bench.plant_state["ball_present"] = False
+        if breakage is not None:
+            later = tuple(replace(fault, time=fault.time + instant.delay) for fault in breakage.faults)
+            bench.stepper.break_with(later, watchdog=self.configuration.driver.watchdog)
+        watch = Watch(bench)
+        event_at = round(after / self.period)
+        watch.advance(event_at, 0)
+        _bring_about(event, bench)
+        watch.advance(round(_ASK_AFTER / self.period) - event_at, Request.STOP if event == "stop" else 0)
+        longest = _MAX_DURATION + (_MAX_SEARCH_TIME if instant.phase in ("homing", "start") else 0.0)
+        longest += _MAX_ACCESS_TIME if instant.phase == "access" else 0.0
+        watch.until_rest(
+            round(longest / self.period), _GOING_ON.get(instant.name, _GOING_ON.get(instant.phase, ()))
+        )
+        return watch
+
+
+def _keep(kept: dict[Key, Value], key: Key, value: Value) -> None:
+    """Keep `value`; drop the oldest of more than _KEPT."""
+    kept[key] = value
+    if len(kept) > _KEPT:
+        del kept[next(iter(kept))]
+
+
+_GOING_ON: dict[str, tuple[Request, ...]] = {
+    "start": (Request.HOME, Request.ARM, Request.SWING),
+    "standing": (Request.ARM, Request.SWING),
+    "homing": (Request.ARM, Request.SWING),
+    "hold": (Request.SWING,),
+    "access before": (Request.DISARM, Request.ACCESS, Request.SECURE, Request.ARM, Request.SWING),
+    "access inside": (Request.SECURE, Request.ARM, Request.SWING),
+}
+"""Requests that continue from an instant, by its name or phase."""
+_WITH_AND_WITHOUT_BALL: tuple[Event, ...] = ("", "no ball")
+
+
+def _event_of(breakage: Breakage) -> Event:
+    """Return the event that the undisturbed run needs for a comparison with `breakage`.
+
+    An event that shows a single fault is no part of it: it is noticed, or the switch that is stuck hides it.
+    """
+    return (
+        breakage.event if breakage.event in ("stop", "no ball") or breakage.family == "during a stop" else ""
+    )
+
+
+def _bring_about(event: Event, bench: LockstepEngine) -> None:
+    """Open the circuit of `event`."""
+    if event == "guard opened":
+        bench.plant_state["guard_closed"] = False
+    elif event == "emergency stop":
+        bench.plant_state["emergency_stop_clear"] = False
+
+
+def _enter(bench: LockstepEngine) -> None:
+    """Vent, release the guard and open it."""
+    bench.request(Request.DISARM)
+    while not bench.request(Request.ACCESS) and not bench.cause:
+        bench.advance(100)
+    bench.plant_state["guard_closed"] = False
+    bench.advance(500)
+
 
 MatrixCase = tuple[Breakage, Instant]
 OutcomeStore = SweepStore[CaseOutcome]

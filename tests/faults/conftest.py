@@ -9,7 +9,7 @@ import pytest
 
 import bench.swing
 from bench.config import Configuration, load_configuration, shipped_configuration
-from bench.faults.case import Workbench
+from bench.faults.matrix import Workbench
 from bench.swing.profile import Profile, load_profile
 
 PROFILE = Path(bench.swing.__path__[0]) / "profiles" / "default.toml"

@@ -11,7 +11,6 @@ import pytest
 
 from bench.base.lifecycle import Phase
 from bench.config import load_configuration, shipped_configuration
-from bench.faults.case import Workbench
 from bench.faults.catalogue import (
     ACCESS,
     FAMILIES,
@@ -23,7 +22,7 @@ from bench.faults.catalogue import (
     instants_of,
 )
 from bench.faults.compound_faults import CATALOGUE
-from bench.faults.matrix import instants_for, plan_matrix
+from bench.faults.matrix import Workbench, instants_for, plan_matrix
 from bench.faults.summary import commit, origin_of
 from bench.swing.profile import PHASES, Profile
 from sim.faults import Fault

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.faults.hazard_file import JUDGEMENT, RISK_GRAPH, hazard_file
+from bench.faults.summary import JUDGEMENT, RISK_GRAPH, hazard_file
 from tests.faults.made_matrix import whole_matrix
 
 ROOT = Path(__file__).resolve().parents[2]

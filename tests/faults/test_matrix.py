@@ -20,12 +20,18 @@ import bench.faults.matrix
 from bench.commands.common import Session
 from bench.commands.machine.faults import app, matrix_page, matrix_table
 from bench.config import Configuration, load_configuration, shipped_configuration
-from bench.faults.case import Workbench
 from bench.faults.catalogue import ACCESS, START, Breakage, Instant, instants_of, irrelevant
 from bench.faults.compound_faults import CATALOGUE
-from bench.faults.hazard_file import hazard_table, matrix_digest
-from bench.faults.matrix import FaultStudy, MatrixPlan, instants_for, matrix_store, plan_matrix, run_matrix
-from bench.faults.summary import PHASES, summarise, summary_text
+from bench.faults.matrix import (
+    FaultStudy,
+    MatrixPlan,
+    Workbench,
+    instants_for,
+    matrix_store,
+    plan_matrix,
+    run_matrix,
+)
+from bench.faults.summary import PHASES, hazard_table, matrix_digest, summarise, summary_text
 from bench.faults.verdict import CaseOutcome
 from bench.simulation.sweep import InProcess
 from bench.swing.profile import Profile

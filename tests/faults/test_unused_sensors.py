@@ -7,8 +7,8 @@ from math import nan
 import numba
 import pytest
 
-from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage, Event, Instant
+from bench.faults.matrix import Workbench
 from sim.faults import Fault, Kind
 
 pytestmark = pytest.mark.skipif(

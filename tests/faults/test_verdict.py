@@ -5,17 +5,17 @@ from __future__ import annotations
 import numba
 import pytest
 
-from bench.faults import case
-from bench.faults.case import Workbench
+from bench.faults import matrix
 from bench.faults.catalogue import Breakage, Instant
+from bench.faults.matrix import Workbench
 from sim.faults import Fault
 
 
 def test_keep_above_limit_drops_oldest() -> None:
     kept = dict[int, str]()
-    for number in range(case._KEPT + 3):
-        case._keep(kept, number, str(number))
-    assert list(kept) == list(range(3, case._KEPT + 3))
+    for number in range(matrix._KEPT + 3):
+        matrix._keep(kept, number, str(number))
+    assert list(kept) == list(range(3, matrix._KEPT + 3))
 
 
 HEAD_LOST = Breakage(Fault("club head lost", "club head", "off"))

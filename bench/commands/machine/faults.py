@@ -195,8 +195,7 @@ def matrix_page(summary: dict[str, Any]) -> str:
     """Return the page: one file without external resources."""
     import jinja2
 
-    from bench.faults.hazard_file import next_swing_text
-    from bench.faults.summary import PHASES
+    from bench.faults.summary import PHASES, next_swing_text
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string((files("bench.faults") / "page.html.j2").read_text(encoding="utf-8"))
@@ -209,7 +208,7 @@ def table(
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
 ) -> None:
     """Write the hazard table of a fault matrix, one row for each part, as in sim/FAULTS.md."""
-    from bench.faults.hazard_file import hazard_table
+    from bench.faults.summary import hazard_table
 
     write_text(_from_matrix(matrix, hazard_table), output)
 
@@ -220,7 +219,7 @@ def hazard_file_of(
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
 ) -> None:
     """Write the hazard file: failure modes, safety functions and hazards to people, as in sim/HAZARDS.md."""
-    from bench.faults.hazard_file import hazard_file
+    from bench.faults.summary import hazard_file
 
     write_text(_from_matrix(matrix, hazard_file), output)
 
