@@ -5,8 +5,8 @@
 2. `optimal_control` plans the downswing by direct collocation within the machine's limits.
 3. `refine` corrects its openings on the plant until the head passes the ball as planned. The cushions' loads
    (ball struck, missed, or bench silent) correct the energies that the plan may bring them; repeat from 2.
-4. `closed_loop` makes references and feed-forward for the same downswing in closed loop, and the braking law
-   finds the follow-through; `blind_brake` finds the patterns to stop it without encoders.
+4. `with_follow_through` makes references and feed-forward for the same downswing in closed loop, and the
+   braking law finds the follow-through; `blind_brake` finds the patterns to stop it without encoders.
 5. `validate` must find the profile possible on this machine, as `golfbench check` does.
 
 The same input gives the same profile. A demand that cannot be met is refused with the reason.
@@ -28,7 +28,6 @@ from bench.control.law.gain_table import MOVE, gains_along
 from bench.control.moves.pressure_plan import with_planned_air
 from bench.control.settings import EnvelopeSettings, pid_record
 from bench.design.blind_brake import SPACING, design_blind_brake
-from bench.design.closed_loop import LoopFailed, imprint, with_follow_through
 from bench.design.optimal_control import (
     BAR,
     NO_CONCESSIONS,
@@ -45,12 +44,15 @@ from bench.design.refine import (
     NEAR,
     SHAFT_DOWN,
     UNITS,
+    LoopFailed,
     NotReached,
     Shooter,
     ShootingTrial,
     arrival_errors,
+    imprint,
     learned_backswing,
     refine,
+    with_follow_through,
 )
 from bench.design.static_checks import profile_faults
 from bench.simulation.safety import stop_shares

@@ -29,7 +29,7 @@ from bench.control.residual_thresholds import (
 from bench.control.settings import MODEL_ROWS, ModelSettings, Triple, build_controller, with_tables_of
 from bench.control.step_records import ControlParameters
 from bench.simulation.plant_variation import HealthyRun, healthy_plant, healthy_run, unknown_plant
-from bench.simulation.series import Bench
+from bench.simulation.simulated_bench import Bench
 from bench.simulation.sweep import Engine, InProcess, Study, sweep
 from bench.swing.correction import basis_of
 

@@ -30,9 +30,8 @@ from bench.commands.common import (
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
-    from bench.design.sizing.hardware import Hardware
-    from bench.design.sizing.search import SizingGrid, SizingRun
-    from bench.design.sizing.study import SizedPoint
+    from bench.design.sizing.catalogue import Hardware
+    from bench.design.sizing.search import SizedPoint, SizingGrid, SizingRun
     from bench.viewer.drawing.model_files import MassRow
     from sim.plant import PlantParameters
 
@@ -74,8 +73,7 @@ def size(
     front the whole swing is designed on the plant. Results are reused when the command is run again.
     """
     from bench.design.sizing.catalogue import load_catalogue, shipped_catalogue
-    from bench.design.sizing.search import SizingRun, SizingSearch
-    from bench.design.sizing.study import SizingDemand
+    from bench.design.sizing.search import SizingDemand, SizingRun, SizingSearch
 
     configuration = context.ensure_object(Session).configuration()
     known = shipped_catalogue() if catalogue is None else load_catalogue(catalogue)
@@ -139,8 +137,7 @@ def _grid(given: Sequence[str]) -> SizingGrid:
 def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
     """Print the table, and write the picture, the figures and a configuration for each point of the front."""
     from bench.config import load_configuration
-    from bench.design.sizing.search import draw_front
-    from bench.design.sizing.study import candidate_text, non_dominated
+    from bench.design.sizing.search import candidate_text, draw_front, non_dominated
 
     front = non_dominated(points)
     shipped = load_configuration(Path("shipped"))

@@ -14,7 +14,6 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Phase
 from bench.config import load_configuration
 from bench.design import designer
-from bench.design.closed_loop import Rehearsal
 from bench.design.designer import (
     DesignFailed,
     _Cushions,
@@ -42,7 +41,7 @@ from bench.design.optimal_control import (
     build_equations,
     solve_downswing,
 )
-from bench.design.refine import KNOT, correction
+from bench.design.refine import KNOT, Rehearsal, correction
 from bench.design.static_checks import profile_faults
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing, simulate_swings
 from bench.swing.golfers import GOLFERS

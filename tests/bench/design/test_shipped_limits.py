@@ -13,7 +13,7 @@ from bench.config.settings import Configuration
 from bench.control.residual_thresholds import ENDING
 from bench.control.settings import build_controller
 from bench.simulation.plant_variation import healthy_plant, healthy_run
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters

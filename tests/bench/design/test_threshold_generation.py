@@ -19,7 +19,7 @@ from bench.design.threshold_generation import (
     make_limits,
 )
 from bench.simulation.plant_variation import HealthyRun
-from bench.simulation.series import Bench
+from bench.simulation.simulated_bench import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.plant import PlantParameters

@@ -9,10 +9,23 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.config import load_configuration
-from bench.design.sizing.catalogue import PRICES, in_series, shipped_catalogue
-from bench.design.sizing.hardware import Hardware, highest_pressure, parts_of, relief_pressure
-from bench.design.sizing.search import SizingGrid, cheaper, without_repeats
-from bench.design.sizing.study import SizingDemand, candidate_configuration, candidate_text
+from bench.design.sizing.catalogue import (
+    PRICES,
+    Hardware,
+    highest_pressure,
+    in_series,
+    parts_of,
+    relief_pressure,
+    shipped_catalogue,
+)
+from bench.design.sizing.search import (
+    SizingDemand,
+    SizingGrid,
+    candidate_configuration,
+    candidate_text,
+    cheaper,
+    without_repeats,
+)
 
 SHIPPED = load_configuration(Path("shipped"))
 PARTS = shipped_catalogue()

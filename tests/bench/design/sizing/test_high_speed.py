@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 
 from bench.config import VARIANTS, load_configuration
-from bench.design.sizing.catalogue import shipped_catalogue
-from bench.design.sizing.hardware import Hardware
-from bench.design.sizing.study import SizingDemand, candidate_configuration, candidate_text
+from bench.design.sizing.catalogue import Hardware, shipped_catalogue
+from bench.design.sizing.search import SizingDemand, candidate_configuration, candidate_text
 from bench.design.stop_verification import TRIALS, SwingCheck
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

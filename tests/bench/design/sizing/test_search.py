@@ -10,14 +10,16 @@ from typing import Any
 import pytest
 
 from bench.design.sizing import search as module
-from bench.design.sizing.catalogue import shipped_catalogue
-from bench.design.sizing.hardware import Hardware, parts_of
-from bench.design.sizing.search import SizingGrid, SizingRun, SizingSearch, draw_front
-from bench.design.sizing.study import (
+from bench.design.sizing.catalogue import Hardware, parts_of, shipped_catalogue
+from bench.design.sizing.search import (
     SizedPlan,
     SizedPoint,
     SizedSwing,
     SizingDemand,
+    SizingGrid,
+    SizingRun,
+    SizingSearch,
+    draw_front,
     non_dominated,
     plan_of,
     swing_of,
