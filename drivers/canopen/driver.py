@@ -65,8 +65,7 @@ from drivers.canopen.frames import (
     max_rate,
 )
 from drivers.canopen.link import BusCounters, FrameLink, SocketcanLink, open_link, whole_frame
-from drivers.canopen.native_state import FIXED, SHARED, NativeState
-from drivers.canopen.native_tick import MAX_WAITING, failure, words_of
+from drivers.canopen.native_tick import FIXED, MAX_WAITING, SHARED, NativeState, failure, words_of
 from drivers.canopen.scaling import read_zero_shift
 from drivers.canopen.services import Node
 from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSettings
