@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, solve_discrete_are
 
 from bench.control.estimate.air import actuator_motion
-from bench.control.law.force_reference import actuator_forces
+from bench.control.law.feed_forward import actuator_forces
 from bench.control.law.gain_table import Gains
 from drivers.base.compiled import compiled
 from sim.dynamics import chambers
