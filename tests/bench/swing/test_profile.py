@@ -25,11 +25,12 @@ from bench.swing.profile import (
     FollowedGolfer,
     Profile,
     as_written,
+    decode_table,
+    encode_table,
     load_profile,
     profile_text,
     save_profile,
 )
-from bench.swing.profile_table import decode_table, encode_table
 from sim.plant import PlantParameters
 
 TABLES = ("angle", "velocity", "valve", "blind_brake")
