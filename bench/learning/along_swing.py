@@ -26,7 +26,7 @@ from bench.control.law.linear_loop import (
     loop_responses,
     margins_of,
 )
-from bench.simulation.series import Bench, Series, quiet
+from bench.simulation.simulated_bench import Bench, Series, quiet
 from sim.plant import PlantParameters
 
 

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.records.shot.recorded_shot import delivery_in_motion
-from bench.simulation.series import Bench
+from bench.simulation.simulated_bench import Bench
 from sim.impact import Delivery, face_axes, face_gap, impact_parameters
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters

@@ -27,7 +27,7 @@ from bench.control.measured_plant import value_at
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.swing_metadata import read_profile
 from bench.simulation.plant_variation import Variation
-from bench.simulation.series import Bench, Series, quiet
+from bench.simulation.simulated_bench import Bench, Series, quiet
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from sim.plant import ACTUATOR_KEYS, PlantParameters

@@ -29,7 +29,7 @@ from scipy.optimize import lsq_linear
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, planned_figures
-from bench.simulation.series import Bench, Series, quiet
+from bench.simulation.simulated_bench import Bench, Series, quiet
 from bench.swing.correction import Basis, Correction, basis_of
 from bench.swing.correction_terms import MAX_WEIGHT
 

@@ -33,7 +33,7 @@ from bench.config import Configuration, load_configuration, shipped_configuratio
 from bench.control.measured_plant import value_at
 from bench.learning.delivery import figures_of
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
-from bench.simulation.series import ReturnFailed, Series
+from bench.simulation.simulated_bench import ReturnFailed, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.faults import Fault

@@ -24,7 +24,7 @@ from bench.config import load_configuration, shipped_configuration
 from bench.learning.delivery import Tolerance, figures_of
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.simulation.plant_variation import WORN, Variation, drawn
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant

@@ -28,7 +28,7 @@ from bench.learning.delivery import Tolerance
 from bench.learning.learn import LearningProblem, Swinger, learn, prepare
 from bench.learning.store import Conditions, Learned, drifted, keep, learned_swings, newest_that_holds, stored
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.simulation.series import Bench
+from bench.simulation.simulated_bench import Bench
 from bench.store.records import CampaignEntry
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile

@@ -27,8 +27,7 @@ from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import UNREPORTED
 from bench.simulation.plant_variation import Variation
-from bench.simulation.series import Series
-from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingResult
+from bench.simulation.simulated_bench import ArmedBench, Series, SimulatedBench, SwingResult
 from bench.swing.library import find_profile
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from bench.control.law.gain_scheduling import MachineGains
     from bench.control.law.linear_loop import Estimator, LinearPlant
     from bench.learning.along_swing import LoopMargins, ValidationSwing
-    from bench.simulation.series import Bench
+    from bench.simulation.simulated_bench import Bench
 
 
 def tune(
@@ -40,7 +40,7 @@ def tune(
     """
     from bench.design.static_checks import require_possible
     from bench.learning.along_swing import gains_along, judge
-    from bench.simulation.series import Bench
+    from bench.simulation.simulated_bench import Bench
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 

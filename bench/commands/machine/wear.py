@@ -191,7 +191,7 @@ def identify(
     """
     from bench.learning.identify import identify as identified
     from bench.learning.identify import read_recorded, variation_of, write_plant_file
-    from bench.simulation.series import Bench
+    from bench.simulation.simulated_bench import Bench
 
     configuration = context.ensure_object(Session).configuration()
     profile, swings = read_recorded(records)

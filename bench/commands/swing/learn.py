@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.learning.learn import LearningProblem, LearningResult, Swinger
     from bench.learning.store import Learned
-    from bench.simulation.series import Bench
+    from bench.simulation.simulated_bench import Bench
     from sim.plant import PlantParameters
 
 _FACE = 60.0
@@ -80,7 +80,7 @@ def learn(
     from bench.config import database_url
     from bench.design.optimal_control import require_planned_openings
     from bench.learning.store import Conditions, keep, stored
-    from bench.simulation.series import Bench
+    from bench.simulation.simulated_bench import Bench
     from bench.store.database import open_database
     from bench.supervisor.readiness import assess_bench
     from bench.swing.profile import save_profile
@@ -144,7 +144,7 @@ def _robot(plant: PlantParameters, file: Path | None, draw: int | None, club: st
 def _learn_in_lock_step(bench: Bench, robot: PlantParameters, swings: int) -> LearningResult:
     """Learn on the simulated `robot` in at most `swings` swings."""
     from bench.learning.learn import on_series
-    from bench.simulation.series import Series
+    from bench.simulation.simulated_bench import Series
 
     with progress_bar() as bar:
         problem = _problem(bench, bar)

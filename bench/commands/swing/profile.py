@@ -189,7 +189,7 @@ def limits(
     from bench.base.atomic_file import atomic_path
     from bench.control.residual_thresholds import save_limits
     from bench.design.threshold_generation import make_limits
-    from bench.simulation.series import Bench
+    from bench.simulation.simulated_bench import Bench
     from bench.supervisor.readiness import assess_bench
     from bench.swing.library import PROFILES
 

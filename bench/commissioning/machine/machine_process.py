@@ -34,7 +34,7 @@ from bench.commissioning.machine.machine_server import MachineServer
 from bench.commissioning.machine.step import Mark
 from bench.config import Configuration
 from bench.simulation.safety import Loads
-from bench.simulation.series import Bench, SeriesSwing
+from bench.simulation.simulated_bench import Bench, SeriesSwing
 from bench.supervisor.child_process import Child, Parent, read_plan, send_event, send_failure
 from bench.supervisor.loop_process import configured_driver
 from bench.supervisor.ownership import Ownership, adopt

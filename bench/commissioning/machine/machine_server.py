@@ -23,7 +23,14 @@ from bench.control.settings import build_controller, with_tables_of
 from bench.control.states import near_address
 from bench.learning.live import swung_cycles
 from bench.loop.loop import Cycles, Loop
-from bench.simulation.series import ADDRESS_TRIES, HOLD, ArmingFailed, Bench, SeriesSwing, return_failed
+from bench.simulation.simulated_bench import (
+    ADDRESS_TRIES,
+    HOLD,
+    ArmingFailed,
+    Bench,
+    SeriesSwing,
+    return_failed,
+)
 from bench.simulation.swing_operator import (
     RETURN_TIMEOUT,
     SETTLING_TIMEOUT,

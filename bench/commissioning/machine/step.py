@@ -14,7 +14,7 @@ from bench.commissioning.machine.machine import CommissionedMachine, MotionBound
 from bench.config import Configuration
 from bench.control.measured_plant import value_at, with_values
 from bench.simulation.safety import Loads
-from bench.simulation.series import Bench, Series, SeriesSwing
+from bench.simulation.simulated_bench import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
 from drivers.base import CHAMBERS, JOINTS, Triple
 from sim.driver import joint_travel

@@ -33,7 +33,7 @@ from bench.design.designer import DesignFailed, design_swing
 from bench.design.golfer_tracking import demand_near
 from bench.design.optimal_control import SwingDemand
 from bench.design.threshold_generation import DRAWS, make_limits
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.simulation.sweep import local_engine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, as_written, load_profile

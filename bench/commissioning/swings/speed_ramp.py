@@ -47,7 +47,7 @@ from bench.design.designer import DesignFailed
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, strike_from_mark
 from bench.learning.learn import LearningProblem, ObservedSwing, learn, prepare
 from bench.simulation.safety import Loads, RunEnd, SafetyLimits, unsafe_reasons
-from bench.simulation.series import Bench, Series, SeriesSwing
+from bench.simulation.simulated_bench import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile, load_profile, save_profile
 from drivers.base import JOINTS
 from sim.kinematics import head_motion

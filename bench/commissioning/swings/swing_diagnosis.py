@@ -39,7 +39,7 @@ from bench.commissioning.swings.short_predictions import (
 from bench.commissioning.swings.speed_ramp import exceeded
 from bench.control.measured_plant import value_at, with_values
 from bench.simulation.safety import Loads
-from bench.simulation.series import ArmingFailed, Bench, ReturnFailed, SeriesSwing
+from bench.simulation.simulated_bench import ArmingFailed, Bench, ReturnFailed, SeriesSwing
 from bench.swing.profile import Profile
 from drivers.base import CHAMBERS, JOINTS
 from drivers.base.compiled import compiled

@@ -33,7 +33,7 @@ from bench.design.sizing.catalogue import (
 )
 from bench.design.stop_verification import SwingCheck
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, save_picture, styled
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep
 from bench.swing.profile import Profile, save_profile
 

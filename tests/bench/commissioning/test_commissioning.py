@@ -49,7 +49,7 @@ from bench.control.measured_plant import value_at, with_values
 from bench.control.residual_thresholds import load_limits
 from bench.design.threshold_generation import DRAWS
 from bench.learning.delivery import figures_of
-from bench.simulation.series import Series
+from bench.simulation.simulated_bench import Series
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 from tests.bench.commissioning.drawn_robots import drawn_robot, drawn_robot_file, gap_of

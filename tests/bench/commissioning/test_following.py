@@ -11,7 +11,7 @@ from bench.base.lifecycle import Cause
 from bench.commissioning.swings.robot_swings import with_following_limits
 from bench.config import Configuration
 from bench.simulation.plant_variation import Variation
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.profile import Profile
 from tests.compiled_only import needs_speed
 

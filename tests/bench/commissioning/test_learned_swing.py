@@ -17,7 +17,7 @@ from bench.commissioning.machine.step import (
 )
 from bench.commissioning.swings.speed_ramp import LEARNING, bench_of
 from bench.config import Configuration
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile, save_profile
 from sim.impact import Delivery

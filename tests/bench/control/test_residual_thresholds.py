@@ -39,7 +39,7 @@ from bench.control.settings import (
     for_learning,
     with_correction,
 )
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.correction import Correction
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

@@ -15,7 +15,7 @@ from bench.control.law.gain_table import Gains
 from bench.control.law.linear_loop import Estimator, LinearPlant, least_damping, linearize, steady_estimator
 from bench.control.settings import estimator_record
 from bench.learning.along_swing import LoopMargins, gains_along, judge, operating_points
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import advance, build_plant

@@ -13,7 +13,7 @@ from bench.base.lifecycle import Phase
 from bench.learning.delivery import delivery_from_encoders
 from bench.learning.learn import prepare
 from bench.simulation.plant_variation import drawn
-from bench.simulation.series import Bench, Series, SeriesSwing
+from bench.simulation.simulated_bench import Bench, Series, SeriesSwing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.impact import face_gap, impact_parameters

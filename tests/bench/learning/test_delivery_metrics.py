@@ -11,7 +11,7 @@ from bench.base.errors import BenchError
 from bench.config import load_configuration, shipped_configuration
 from bench.learning.delivery import planned_figures
 from bench.learning.learn import prepare
-from bench.simulation.series import Bench
+from bench.simulation.simulated_bench import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 

@@ -10,7 +10,7 @@ import pytest
 from bench.config import load_configuration, shipped_configuration
 from bench.learning.identify import NAMES, Identified, identify, variation_of, write_plant_file
 from bench.records.telemetry.cycle_record import CYCLE
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record

@@ -26,7 +26,7 @@ from bench.learning.learn import (
 )
 from bench.simulation import plant_variation
 from bench.simulation.plant_variation import Variation, drawn
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import build_plant

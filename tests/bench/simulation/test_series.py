@@ -8,7 +8,7 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Request
 from bench.config import load_configuration, shipped_configuration
 from bench.control.estimate.residual_monitor import LEARNING
-from bench.simulation.series import ADDRESS_TRIES, Bench, Series
+from bench.simulation.simulated_bench import ADDRESS_TRIES, Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from tests.compiled_only import needs_speed

@@ -37,7 +37,7 @@ from bench.commissioning.machine.machine_server import LiveSeries, MachineServer
 from bench.commissioning.swings.robot_swings import slowed
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration
-from bench.simulation.series import ADDRESS_TRIES, ArmingFailed
+from bench.simulation.simulated_bench import ADDRESS_TRIES, ArmingFailed
 from bench.simulation.swing_operator import SwingOperator
 from bench.supervisor.ownership import take_bench
 from bench.swing.library import find_profile

@@ -29,7 +29,7 @@ from bench.control.settings import ModelSettings
 from bench.design.designer import DesignFailed
 from bench.simulation.plant_variation import Variation
 from bench.simulation.safety import Loads
-from bench.simulation.series import Bench, SeriesSwing
+from bench.simulation.simulated_bench import Bench, SeriesSwing
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 from tests.compiled_only import needs_speed

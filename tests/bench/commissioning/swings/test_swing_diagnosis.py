@@ -17,7 +17,7 @@ from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot, Diagnosis
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
-from bench.simulation.series import ArmingFailed, Bench, ReturnFailed
+from bench.simulation.simulated_bench import ArmingFailed, Bench, ReturnFailed
 from bench.swing.profile import Profile
 from tests.bench.commissioning.wrong_machines import measured_values, swung_wrongly, true_robot
 from tests.compiled_only import needs_speed

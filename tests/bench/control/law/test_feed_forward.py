@@ -25,7 +25,7 @@ from bench.control.law.feed_forward import (
 from bench.control.settings import ControlSettings
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import WORN
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

@@ -19,7 +19,7 @@ from bench.control.settings import SIMULATED, build_controller
 from bench.control.step_records import ADDRESS_AIR
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import WORN, healthy_plant
-from bench.simulation.series import Bench, Series, quiet
+from bench.simulation.simulated_bench import Bench, Series, quiet
 from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

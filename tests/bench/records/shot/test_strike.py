@@ -22,7 +22,7 @@ from bench.records.shot.strike import (
     time_at_ball,
 )
 from bench.simulation.plant_variation import healthy_plant
-from bench.simulation.series import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
