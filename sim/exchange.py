@@ -209,9 +209,9 @@ class SurroundingsWriter:
                 self._record[name] = value
         self._shared.write(self._record)
 
-    def place_ball(self, ball: Ball | None = None) -> None:
-        """Put a ball on the tee by hand, by default the plan's ball."""
-        self.choose_ball(ball)
+    def place_ball(self) -> None:
+        """Put the plan's ball on the tee by hand."""
+        self.choose_ball(None)
         self._handle_ball(True)
 
     def take_ball(self) -> None:

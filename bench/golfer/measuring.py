@@ -203,12 +203,12 @@ def _scatter(speed: Array) -> float:
     return float(np.std(np.diff(speed, 2))) / 2.4 if len(speed) > 4 else 0.0
 
 
-def find_top(time: Array, speed: Array, shortest: float = 0.10, longest: float = 0.75) -> int | None:
+def find_top(time: Array, speed: Array, longest: float = 0.75) -> int | None:
     """Return the row of the slowest hands before the ball, None where they slow down nowhere.
 
     `time` (s) ends at the ball with 0, `speed` (m/s) is that of the hands or the turning of the club.
     """
-    rows = np.flatnonzero((time >= -longest) & (time <= -shortest))
+    rows = np.flatnonzero((time >= -longest) & (time <= -0.10))
     if len(rows) < 3:
         return None
     row = int(rows[np.argmin(speed[rows])])

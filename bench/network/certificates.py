@@ -35,12 +35,12 @@ class Identity(NamedTuple):
     key: ec.EllipticCurvePrivateKey
 
 
-def make_authority(now: datetime, days: float = AUTHORITY_DAYS) -> Identity:
-    """Return a new authority, valid for `days` from `now` (with its time zone)."""
+def make_authority(now: datetime) -> Identity:
+    """Return a new authority, valid for AUTHORITY_DAYS from `now` (with its time zone)."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = _name("golfbench authority")
     certificate = (
-        _begin(name, name, key, now, days)
+        _begin(name, name, key, now, AUTHORITY_DAYS)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_usage(signs=True), critical=True)
         .sign(key, hashes.SHA256())

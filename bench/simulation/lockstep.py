@@ -166,10 +166,10 @@ class Lockstep:
         """Tick, s."""
         return self.plant.parameters.tick
 
-    def break_with(self, faults: tuple[Fault, ...], *, watchdog: float = 0.02, seed: int = 1) -> None:
+    def break_with(self, faults: tuple[Fault, ...], *, watchdog: float = 0.02) -> None:
         """Apply `faults` from now on, with time zero now; ValueError as `new_faults`."""
         self.plant = own_records(self.plant)
-        self.faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
+        self.faults = new_faults(faults, self.plant, watchdog=watchdog)
         if self.tick:  # the device has already received commands
             self.faults.device["commanded"] = True
             self.faults.received[:] = self.command

@@ -393,15 +393,15 @@ def write_ended() -> bytes:
     return write_answer(ENDED, "GSPro round ended")
 
 
-def club_code(name: str, otherwise: str = "DR") -> str:
-    """Return the code of a club from its name, such as I7 for "iron7"; `otherwise` if it is unclear."""
+def club_code(name: str) -> str:
+    """Return the code of a club from its name, such as I7 for "iron7"; a driver's if it is unclear."""
     words = re.fullmatch(r"(driver|putter|wood|hybrid|iron|pw|gw|sw|lw)[ _-]?([1-9]?)", name.strip().lower())
     if words is None:
-        return otherwise
+        return "DR"
     kind, number = words.groups()
     code = {"driver": "DR", "putter": "PT", "wood": "W", "hybrid": "H", "iron": "I"}.get(kind, kind.upper())
     code = f"{code}{number}" if len(code) == 1 else code
-    return code if CLUB_CODE.fullmatch(code) else otherwise
+    return code if CLUB_CODE.fullmatch(code) else "DR"
 
 
 def read_answer(data: bytes) -> SimulatorResponse | None:

@@ -586,11 +586,11 @@ def draw(plant: PlantParameters) -> Drawing:
     )
 
 
-def placed(plant: PlantParameters, q: Array | None = None) -> list[PlacedBody]:
-    """Return all bodies in the golf frame for joint angles `q` (rad), at address by default."""
+def placed(plant: PlantParameters) -> list[PlacedBody]:
+    """Return all bodies in the golf frame, at address."""
     drawing = draw(plant)
     axes, origin = plane_to_golf(plant.robot, plant.site)
-    poses = body_poses(plant, np.atleast_2d(address(plant) if q is None else q))
+    poses = body_poses(plant, np.atleast_2d(address(plant)))
     bodies = []
     for body in drawing.moving:
         (point,), (quaternion,) = poses[body.name]
