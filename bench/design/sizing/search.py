@@ -16,8 +16,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import matplotlib as mpl
-
 from bench.base.errors import BenchError, Refused
 from bench.config import Configuration, load_configuration
 from bench.design.designer import DesignFailed, design_swing, fastest_plan
@@ -32,7 +30,6 @@ from bench.design.sizing.catalogue import (
     parts_of,
 )
 from bench.design.stop_verification import SwingCheck
-from bench.records.shot.plot_style import COLOURS, GREY, STYLE, save_picture, styled
 from bench.simulation.simulated_bench import Bench, Series
 from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep
 from bench.swing.profile import Profile, save_profile
@@ -441,6 +438,10 @@ def _digest(catalogue: Catalogue, demand: SizingDemand) -> str:
 
 def draw_front(points: Sequence[SizedPoint], speed: float, path: Path) -> None:
     """Draw all planned points with the front, and the swings at the demanded `speed` (m/s), into `path`."""
+    import matplotlib as mpl  # here, for the processes of a sweep draw nothing
+
+    from bench.records.shot.plot_style import COLOURS, GREY, STYLE, save_picture, styled
+
     planned = [point for point in points if not point.plan.failure]
     front = non_dominated(planned)
     swung = [point for point in points if point.swing is not None and not point.swing.failure]
