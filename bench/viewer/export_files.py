@@ -32,10 +32,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
-from mcap.writer import CompressionType, Writer
 from scipy.io import savemat
 
 from bench.base.atomic_file import atomic_file
+from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.records.telemetry.cycle_record import (
     ENUMERATIONS,
@@ -136,8 +136,15 @@ def write_mcap(path: Path, record: SwingRecord) -> list[Path]:
     """Write `record` to `path` and the layout next to it; return both paths.
 
     Raises:
+        BenchError: the package mcap is not installed.
         NotStored: they cannot be stored.
     """
+    try:
+        from mcap.writer import CompressionType, Writer
+    except ImportError as error:
+        found, action = f"package mcap is not installed ({error})", 'Run pip install "golfbench[mcap]".'
+        raise BenchError("export --format mcap", found, "the package mcap", action) from error
+
     schemas = {
         "/cycle": (f"golfbench.Cycle.{SCHEMA_VERSION}", cycle_schema()),
         "/log": ("foxglove.Log", _log_schema()),

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -53,6 +54,18 @@ _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
 _MODULES = {"eclipse-zenoh": "zenoh", "python-can": "can", "rerun-sdk": "rerun"}
 """Import name of a distribution where it is not the same word with underscores."""
+
+EXTRAS = {
+    "cad": "golfbench draw --format step",
+    "cluster": "golfbench cluster, --cluster",
+    "design": "golfbench profile design, commission",
+    "mcap": "golfbench export --format mcap",
+    "mocap": "golfbench golfer with C3D",
+    "notify": "notifications of campaigns",
+    "page": "golfbench page",
+    "postgresql": "a database on a PostgreSQL server",
+}
+"""Commands that need each extra of the installation; `daq` is an item of its group."""
 
 
 class CheckStatus(StrEnum):
@@ -156,6 +169,7 @@ def probes(data_dir: Path) -> tuple[Probe, ...]:
         Probe("machine", "data folder", functools.partial(data_folder, data_dir), required=True),
         *package_probes(),
         Probe("packages", "compiled code", compiled_code),
+        *extra_probes(),
         *realtime_probes(),
         Probe("CAN", "SocketCAN", socketcan),
         Probe("CAN", "attached interfaces", can_channels),
@@ -257,6 +271,28 @@ def package(requirement: Requirement) -> ItemResult:
     if version not in requirement.specifier:
         return limited(f"{version}, outside the tested versions", action)
     return ok(version)
+
+
+def extra_probes() -> Iterator[Probe]:
+    """Return one item for each extra in EXTRAS; nothing else needs it."""
+    with suppress(importlib.metadata.PackageNotFoundError):  # which `package_probes` reports
+        requirements = [Requirement(line) for line in importlib.metadata.requires("golfbench") or ()]
+        for extra in EXTRAS:
+            yield Probe("extras", extra, functools.partial(extra_packages, extra, requirements))
+
+
+def extra_packages(extra: str, requirements: Sequence[Requirement]) -> ItemResult:
+    """Look whether those of `requirements` that `extra` alone has are installed."""
+    versions, absent = [], []
+    for one in requirements:
+        if one.marker and one.marker.evaluate({"extra": extra}) and not one.marker.evaluate({"extra": ""}):
+            try:
+                versions.append(f"{one.name} {importlib.metadata.version(one.name)}")
+            except importlib.metadata.PackageNotFoundError:
+                absent.append(one.name)
+    if not absent:
+        return ok(", ".join(versions))
+    return missing(f"no {', '.join(absent)}", f'for {EXTRAS[extra]}: pip install "golfbench[{extra}]"')
 
 
 def compiled_code() -> ItemResult:

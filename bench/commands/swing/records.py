@@ -63,8 +63,8 @@ def export(
 ) -> None:
     """Write records of swings for other programs, with the unit of every column.
 
-    csv stores its units in NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (with a layout file),
-    mat for MATLAB.
+    csv stores its units in NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (with a layout file;
+    extra `mcap`), mat for MATLAB.
     """
     from bench.records.telemetry.recorder import SwingRecord, read_swing, record_files
 

@@ -18,6 +18,7 @@ from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
 from bench.base.atomic_file import NotStored
+from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
 from bench.records.telemetry.recorder import SwingRecord, read_swing, write_swing
@@ -240,6 +241,14 @@ def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: SwingRe
     for rows in read_mcap(path).values():
         for schema, _, content in rows:
             assert_readable(json.loads(schema.data), content)
+
+
+def test_mcap_missing_package_states_extra_to_install(
+    tmp_path: Path, record: SwingRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    with pytest.raises(BenchError, match=r"golfbench\[mcap\]"):
+        write_mcap(tmp_path / "007.mcap", record)
 
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_rrd])

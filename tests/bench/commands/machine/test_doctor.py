@@ -8,6 +8,7 @@ import resource
 import socket
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
@@ -93,6 +94,22 @@ def test_doctor_package_version_sets_status(line: str, status: CheckStatus, valu
     outcome = doctor.package(Requirement(line))
     assert outcome.status is status
     assert outcome.value.endswith(value)
+
+
+def test_doctor_extras_equal_those_of_project() -> None:
+    project = tomllib.loads((Path(__file__).parents[4] / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"].keys() - {"benchmark", "daq", "dev", "manual"}
+    assert doctor.EXTRAS.keys() == extras
+
+
+def test_doctor_extra_states_absent_packages_and_commands() -> None:
+    lines = ["numpy>=2", 'numpy>=2; extra == "cad"', 'no-such-distribution>=1; extra == "page"']
+    requirements = [Requirement(line) for line in lines]
+    assert doctor.extra_packages("cad", requirements) == ItemResult(CheckStatus.OK, f"numpy {np.__version__}")
+    status, value, advice = doctor.extra_packages("page", requirements)
+    assert (status, value) == (CheckStatus.MISSING, "no no-such-distribution")
+    assert "golfbench page" in advice
+    assert '"golfbench[page]"' in advice
 
 
 @pytest.mark.parametrize(
