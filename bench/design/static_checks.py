@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from bench.base.errors import BenchError
 from bench.control.moves.pressure_plan import falling_root
@@ -263,10 +262,19 @@ def _range(plan: MachineSwing) -> Check:
 
 
 def _between_samples(position: Array, speed: Array, period: float) -> tuple[Array, Array]:
-    """Return position and speed `_PARTS` times as often: a cushion may stop a rod within two samples."""
-    at = np.arange((len(position) - 1) * _PARTS + 1) / _PARTS
-    path = CubicHermiteSpline(np.arange(len(position)) * period, position, speed)
-    return path(at * period), path(at * period, 1)
+    """Return position and speed `_PARTS` times as often: a cushion may stop a rod within two samples.
+
+    Between two samples the position is the cubic through both with their speeds (Hermite).
+    """
+    part = np.arange((len(position) - 1) * _PARTS + 1)
+    k = np.minimum(part // _PARTS, len(position) - 2)
+    time = (part / _PARTS - k) * period
+    first, last = speed[:-1][k], speed[1:][k]
+    slope = np.diff(position)[k] / period
+    bend = (3 * slope - 2 * first - last) / period
+    twist = (first + last - 2 * slope) / period**2
+    location = position[:-1][k] + time * (first + time * (bend + time * twist))
+    return location, first + time * (2 * bend + time * 3 * twist)
 
 
 def _greatest_visit(work: Array) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,12 +109,23 @@ def basis_of(profile: Profile, valve_spacing: float = 0.025, angle_spacing: floa
 
 def _splines(profile: Profile, first: int, last: int, spacing: int) -> tuple[Array, Array]:
     """Return cubic B-splines with centres from sample `first` to `last`, and their slopes (1/s)."""
-    from scipy.interpolate import BSpline  # here, for it takes long to import and few processes learn
-
-    element = BSpline.basis_element(np.arange(-2.0, 3.0) * spacing, extrapolate=False)
+    knots = np.arange(-2.0, 3.0) * spacing
     away = np.arange(len(profile.angle)) - np.arange(first, last + 1, spacing)[:, None]
-    # A spline's peak is 2/3.
-    return (
-        1.5 * np.nan_to_num(element(away)),
-        1.5 * np.nan_to_num(element.derivative()(away)) / profile.period,
-    )
+    rise = 1.0 / spacing
+    slope = rise * _spline(away, knots[:-1]) - rise * _spline(away, knots[1:])
+    return 1.5 * _spline(away, knots), 1.5 * slope / profile.period  # a spline's peak is 2/3
+
+
+def _spline(at: NDArray[np.int64], knots: Array) -> Array:
+    """Return the B-spline on `knots` (k + 2,) of degree k at each position of `at` (Cox and de Boor).
+
+    Bit-equal to scipy's, whose interpolation a bench would import for this alone.
+    """
+    parts: list[Array] = [((a <= at) & (at < b)).astype(float) for a, b in pairwise(knots)]
+    for degree in range(1, len(parts)):
+        width = knots[degree:] - knots[:-degree]
+        parts = [
+            parts[i] / width[i] * (at - knots[i]) + parts[i + 1] / width[i + 1] * (knots[i + degree + 1] - at)
+            for i in range(len(parts) - 1)
+        ]
+    return parts[0]

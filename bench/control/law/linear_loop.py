@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, solve_discrete_are
 
 from bench.control.estimate.air import actuator_motion
 from bench.control.law.feed_forward import actuator_forces
@@ -139,6 +138,8 @@ def linearised(plant: Plant, point: OperatingPoint) -> tuple[Array, Array]:
 
 def linearize(plant: Plant, point: OperatingPoint, frequency: Array = FREQUENCIES) -> LinearPlant:
     """Return `plant` linearised at `point`, with its responses at `frequency` (n,) rad/s."""
+    from scipy.linalg import expm  # here, as the processes of a bench linearise nothing
+
     parameters = plant.parameters
     states = _MOTION + 6
     matrix, command = np.zeros((states, states)), np.zeros((states, 3))
@@ -178,6 +179,8 @@ def steady_estimator(filters: np.ndarray[Any, Any], period: float, age: float) -
 
     Ticks of `period` (s), samples of `age` (s).
     """
+    from scipy.linalg import solve_discrete_are
+
     ahead = np.array([[1.0, period, period**2 / 2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
     seen = np.array([[1.0, -age, age**2 / 2]])
     spread = np.array([[period**2 / 2], [period], [1.0]])
