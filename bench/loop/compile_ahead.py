@@ -16,14 +16,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 
-import numba
-
 from bench.control.step import decide_tick, estimate_tick, limit_tick
 from bench.control.step_records import new_control_state
 from bench.loop.compiled_tick import empty_parameters
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base.compile_report import announce_compilation, report_compilation
-from drivers.base.compiled import compile_for, is_kept, new_record
+from drivers.base.compiled import IS_PLAIN, new_record
+from drivers.base.kept_code import compile_for, is_kept
 from drivers.base.machine_code import cache_folder
 from drivers.base.records import COMMAND, READINGS
 
@@ -59,8 +58,7 @@ def compile_ahead() -> Iterator[bool]:
 @cache
 def _needed() -> bool:
     """Return whether this process is the first to run the step, with processors for two."""
-    is_plain = bool(numba.config.DISABLE_JIT)
-    return not is_plain and len(os.sched_getaffinity(0)) > 1 and not is_kept(decide_tick)
+    return not IS_PLAIN and len(os.sched_getaffinity(0)) > 1 and not is_kept(decide_tick)
 
 
 def compile_rest() -> None:

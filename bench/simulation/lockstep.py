@@ -18,7 +18,8 @@ from bench.control.step_records import ControlParameters, ControlState, new_cont
 from bench.loop.compile_ahead import compile_ahead
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE
-from drivers.base.compiled import compile_for, compiled, new_record
+from drivers.base.compiled import compiled, new_record
+from drivers.base.kept_code import compile_for
 from drivers.base.records import COMMAND, READINGS, pack_command
 from sim.faults import (
     LEASE,

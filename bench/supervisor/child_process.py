@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
@@ -32,9 +32,11 @@ from bench.base.lifecycle import Cause
 from bench.swing.correction_terms import MAX_WEIGHTS
 from drivers.base import DriverError
 from drivers.base.compile_report import announce_compilation, report_compilation
+from drivers.base.compiled import PLAIN
 from drivers.base.shared_memory import SharedMemoryError, SharedRecord
 
 if TYPE_CHECKING:  # each process loads only what it needs
+    from bench.base.address import NetworkSettings
     from bench.config import Configuration
     from bench.records.shot.recorded_shot import FlightConditions
     from bench.records.telemetry.encoder_preset import CalibratedShifts
@@ -56,7 +58,7 @@ class LoopPlan:
     """Configuration with the calibration applied."""
     profile: Profile
     basis: Basis
-    """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
+    """Basis of its corrections."""
     folder: Path
     """Shared-memory folder of the bench."""
     lock: int
@@ -83,6 +85,54 @@ class LaunchMonitorPlan:
     club: str
     """Code of the club in the player message to monitors."""
     wall: bool
+    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
+
+
+@dataclass(frozen=True)
+class RecorderPlan:
+    """Parameters of the recorder."""
+
+    data_dir: Path
+    folder: Path
+    """Shared-memory folder of the bench."""
+    snapshot_dtype: np.dtype[Any]
+    """`bench.loop.snapshot.SNAPSHOT`, passed so that the recorder need not import the controller."""
+    profile: Profile
+    basis: Basis
+    """Basis of its corrections."""
+    run: Mapping[str, Any]
+    """Entries of all records: id of the `bench` and of its `run`, the prefix of shot ids; `configuration`,
+    `versions` and `calibrations`; `real_time`, the settings requested by the loop and granted."""
+    around: FlightConditions
+    """Air, wind and turf of the flights of `plant`."""
+    wall: bool = True
+    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
+    lead: float = 0.5
+    tail: float = 0.5
+    """Lead before and tail after each record, s."""
+    plant: PlantParameters | None = None
+    """Plant whose club and ball the shots of stored swings are computed with; None: they are not."""
+    room: int = 65536
+    """Max cycles of the current record in memory, 0.7 kB each."""
+    waiting: int = 8
+    """Max records waiting in memory for the disk."""
+    least_free: int = 64 << 20
+    """Min free disk space (bytes) for arming."""
+    silence: float = 1.0
+    """Time without a cycle after which the current record ends, s."""
+    timeout: float = 10.0
+    """Time for which an end waits for the current swing, s."""
+
+
+@dataclass(frozen=True)
+class PublisherPlan:
+    """Parameters of the publisher."""
+
+    bench: str
+    network: NetworkSettings
+    folder: Path
+    """Shared-memory folder of the bench."""
+    wall: bool = True
     """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
 
 
@@ -272,8 +322,12 @@ class Child:
             os.set_blocking(process.stdout.fileno(), False)
 
     @classmethod
-    def start(cls, name: str, module: str, plan: object, pass_fds: tuple[int, ...] = ()) -> Child:
+    def start(
+        cls, name: str, module: str, plan: object, pass_fds: tuple[int, ...] = (), *, plain: bool = False
+    ) -> Child:
         """Start `python -m module` with `plan` pickled on its stdin, without waiting.
+
+        With `plain` it runs without numba, which would take 70 MB and longer to load than a shot to compute.
 
         The plan is passed in a memory file: writing a large one to a pipe would block until the child reads.
         Signals meant for the parent are blocked in the child from its first instruction on.
@@ -297,6 +351,7 @@ class Child:
                         "PYTHONPATH": path,
                         "OPENBLAS_NUM_THREADS": "1",
                         "ARROW_DEFAULT_MEMORY_POOL": "system",
+                        **({PLAIN: "1"} if plain else {}),
                     },
                 )
             finally:

@@ -42,12 +42,18 @@ from bench.network.zenoh_session import close_session, open_daemon
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication
 from bench.records.telemetry.swing_metadata import run_id, versions
-from bench.supervisor.child_process import TIMING_FILE, Child, LaunchMonitorPlan, LoopPlan, ManagedProcess
+from bench.supervisor.child_process import (
+    TIMING_FILE,
+    Child,
+    LaunchMonitorPlan,
+    LoopPlan,
+    ManagedProcess,
+    PublisherPlan,
+    RecorderPlan,
+)
 from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import Ownership, take_bench
-from bench.supervisor.publisher import PublisherPlan
 from bench.supervisor.readiness import arming_block, assess, assess_bench
-from bench.supervisor.recorder import RecorderPlan
 from bench.supervisor.status import (
     BEFORE,
     NO_LAUNCH_MONITOR,
@@ -349,7 +355,7 @@ class Daemon:
             wall=self.wall,
             room=round(_RECORDED * c.loop.rate),
         )
-        return Child.start("recorder", "bench.supervisor.recorder", plan)
+        return Child.start("recorder", "bench.supervisor.recorder", plan, plain=True)
 
     def _start_publisher(self) -> Child:
         c = self.configuration
@@ -372,7 +378,7 @@ class Daemon:
             club=c.launch_monitor.club or club_code(c.swing.club),
             wall=self.wall,
         )
-        return Child.start("launch monitor", "bench.supervisor.launch_monitor", plan)
+        return Child.start("launch monitor", "bench.supervisor.launch_monitor", plan, plain=True)
 
     def _live(self, stop: StopFlag, ready: Callable[[], None]) -> None:
         """Run until asked to stop; reset systemd's watchdog only while the loop advances.

@@ -30,7 +30,7 @@ import numpy as np
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import State
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
-from bench.records.shot.recorded_shot import shot_to_json, warm_up_shots
+from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot_matcher import SettledOutcome, ShotMatcher, SwingWatch
 from bench.records.shot.shot_message import ShotPublication, launch_to_json, shortened, shot_publication
 from bench.records.telemetry.ring import RingReader
@@ -105,7 +105,6 @@ class LaunchMonitorService:
         Raises:
             BenchError, SharedMemoryError: a shared file is unusable.
         """
-        warm_up_shots(plan.plant, plan.around)
         settings = plan.settings
         self._stack = ExitStack()
         try:

@@ -19,14 +19,11 @@ import json
 import os
 import signal
 import time
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zenoh
 
-from bench.base.address import NetworkSettings
 from bench.base.errors import ExitCode
 from bench.network.messages import LOOP_VERSION
 from bench.network.zenoh_session import close_session, open_client
@@ -38,6 +35,7 @@ from bench.supervisor.child_process import (
     TIMING_FILE,
     Condition,
     HeartbeatSender,
+    PublisherPlan,
     begin_service,
     send_event,
 )
@@ -55,18 +53,6 @@ _GAP = 0.003
 _CLOSE_TIMEOUT = 1.5
 """Time-out for closing the session, s."""
 _ARROW = "application/vnd.apache.arrow.stream"
-
-
-@dataclass(frozen=True)
-class PublisherPlan:
-    """Parameters of the publisher."""
-
-    bench: str
-    network: NetworkSettings
-    folder: Path
-    """Shared-memory folder of the bench."""
-    wall: bool = True
-    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
 
 
 class Publisher:

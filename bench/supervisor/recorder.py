@@ -22,9 +22,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +30,7 @@ import pyarrow.parquet  # noqa: F401 - now, not at the first record of a running
 
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import Cause, State
-from bench.records.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
+from bench.records.shot.recorded_shot import shot_of_cycles, shot_to_json
 from bench.records.shot.strike import DriftMonitor, ball_struck, strike_seen
 from bench.records.telemetry.recorder import (
     RecordQueue,
@@ -52,15 +50,13 @@ from bench.supervisor.child_process import (
     TIMING_FILE,
     Condition,
     HeartbeatSender,
+    RecorderPlan,
     begin_service,
     send_event,
     weights_of,
 )
 from bench.supervisor.timing_record import TimingReader, summary
-from bench.swing.correction import Basis
-from bench.swing.profile import Profile
 from drivers.base.shared_memory import SharedRecord
-from sim.plant import PlantParameters
 
 POLL = 0.01
 """Polling period of the ring, s."""
@@ -70,42 +66,6 @@ _CHECK_PERIOD = 2.0
 """Period of the folder checks, s."""
 _SNAPSHOTS = 16
 """Number of newest snapshots kept: one per request to move, and records are minutes apart."""
-
-
-@dataclass(frozen=True)
-class RecorderPlan:
-    """Parameters of the recorder."""
-
-    data_dir: Path
-    folder: Path
-    """Shared-memory folder of the bench."""
-    snapshot_dtype: np.dtype[Any]
-    """`bench.loop.snapshot.SNAPSHOT`, passed so that the recorder need not import the controller."""
-    profile: Profile
-    basis: Basis
-    """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
-    run: Mapping[str, Any]
-    """Entries of all records: id of the `bench` and of its `run`, the prefix of shot ids; `configuration`,
-    `versions` and `calibrations`; `real_time`, the settings requested by the loop and granted."""
-    wall: bool = True
-    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
-    lead: float = 0.5
-    tail: float = 0.5
-    """Lead before and tail after each record, s."""
-    plant: PlantParameters | None = None
-    """Plant whose club and ball the shots of stored swings are computed with; None: they are not."""
-    around: FlightConditions = field(default_factory=FlightConditions)
-    """Air, wind and turf of their flights."""
-    room: int = 65536
-    """Max cycles of the current record in memory, 0.7 kB each."""
-    waiting: int = 8
-    """Max records waiting in memory for the disk."""
-    least_free: int = 64 << 20
-    """Min free disk space (bytes) for arming."""
-    silence: float = 1.0
-    """Time without a cycle after which the current record ends, s."""
-    timeout: float = 10.0
-    """Time for which an end waits for the current swing, s."""
 
 
 class Recorder:
@@ -118,8 +78,6 @@ class Recorder:
             BenchError, SharedMemoryError: the ring or another shared file is unusable, or the plan's metadata
                 cannot be written as JSON.
         """
-        if plan.plant is not None:
-            warm_up_shots(plan.plant, plan.around)  # the first time it compiles
         self.plan = plan
         self._entries = run_entries(plan.run, plan.profile)
         folder = plan.folder

@@ -18,7 +18,6 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-import numba
 import numpy as np
 
 _PACKAGES = ("bench", "drivers", "sim")
@@ -119,6 +118,8 @@ def module_digests(top: Path | None = None) -> dict[str, str]:
 
 
 def _digest(sources: dict[str, bytes]) -> str:
+    import numba  # here, as a process that runs plain Python has none
+
     digest = sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
     for path, source in sources.items():
         digest.update(f"\n{path} {len(source)}\n".encode())

@@ -22,7 +22,8 @@ from numba.core import sigutils
 from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
-from drivers.base.compiled import compiled, keep_code
+from drivers.base.compiled import compiled
+from drivers.base.kept_code import keep_code
 
 DECLINED = 0
 DONE = 1

@@ -16,13 +16,21 @@ from typing import Any
 import numpy as np
 
 from bench.loop.snapshot import SNAPSHOT
+from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.telemetry.ring import RingWriter
-from bench.supervisor.child_process import CORRECTED, HEARTBEAT, TIMING_FILE, heartbeat_file, pack_correction
-from bench.supervisor.recorder import RecorderPlan
+from bench.supervisor.child_process import (
+    CORRECTED,
+    HEARTBEAT,
+    TIMING_FILE,
+    RecorderPlan,
+    heartbeat_file,
+    pack_correction,
+)
 from bench.supervisor.tick_timing import create_timing
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from drivers.base.compiled import PLAIN
 from drivers.base.shared_memory import SharedRecord
 
 Cycles = np.ndarray[Any, Any]
@@ -65,6 +73,7 @@ class RecordedBench:
                     "real_time": {"scheduling": "FIFO"},
                     "calibrations": {"date": "2026-11-21"},
                 },
+                "around": FlightConditions(),
                 "lead": 0.125,
                 "tail": 0.25,
                 **changes,
@@ -78,7 +87,10 @@ class RecordedBench:
     def start_anyhow(self, **changes: Any) -> None:
         self.kill()
         self.recorder = subprocess.Popen(
-            [sys.executable, *self._program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [sys.executable, *self._program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, PLAIN: "1"},
         )
         assert self.recorder.stdin is not None
         self.recorder.stdin.write(pickle.dumps(self.plan(**changes)))

@@ -15,7 +15,8 @@ from bench.loop import compile_ahead as ahead
 from bench.loop.compiled_tick import empty_parameters
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from drivers.base.compiled import compiled, is_kept
+from drivers.base.compiled import compiled
+from drivers.base.kept_code import is_kept
 from sim.plant import PlantParameters
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.base.compiled import PLAIN
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
 TOP = Path(__file__).resolve().parents[3]
@@ -16,15 +18,17 @@ MEBIBYTE = 1 << 20
 
 CALCULATES = frozenset({"llvmlite", "numba", "scipy"})
 ALLOWED = {
-    "bench.supervisor.daemon": CALCULATES | {"pyarrow", "sqlalchemy", "zenoh"},
+    "bench.supervisor.daemon": CALCULATES | {"sqlalchemy", "zenoh"},
     "bench.supervisor.loop_process": CALCULATES,
-    "bench.supervisor.recorder": CALCULATES | {"pyarrow"},
+    "bench.supervisor.recorder": {"pyarrow"},
     "bench.supervisor.publisher": {"pyarrow", "zenoh"},
-    "bench.supervisor.launch_monitor": CALCULATES | {"asyncio"},
+    "bench.supervisor.launch_monitor": {"asyncio"},
 }
 """Modules of the processes with the heavy packages that each may import; numba imports the top of scipy.
 
-The recorder computes the shots: the supervisor's heartbeat must not wait for them."""
+The recorder computes the shots in plain Python: the supervisor's heartbeat must not wait for them."""
+PLAIN_PROCESSES = {"bench.supervisor.recorder", "bench.supervisor.launch_monitor"}
+"""Processes that are started without compilation."""
 HEAVY = frozenset(
     {
         *CALCULATES,
@@ -49,12 +53,10 @@ HEAVY = frozenset(
         "zenoh",
     }
 )
-COMPUTES_CONTROL = {"bench.supervisor.daemon", "bench.supervisor.loop_process"}
-"""Processes that load more of scipy than numba does."""
 SUPERVISOR_LOADS = {"asyncio"}
 """By sqlalchemy."""
 
-MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 560 * MEBIBYTE
+MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 450 * MEBIBYTE
 """Locked memory of the loop, and proportional memory of all processes, bytes."""
 
 
@@ -63,11 +65,16 @@ MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 560 * MEBIBYTE
 def test_process_imports_only_allowed_heavy_packages(module: str) -> None:
     code = f"import sys, {module}; print(*sys.modules)"
     loaded = subprocess.run(
-        [sys.executable, "-c", code], cwd=TOP, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        cwd=TOP,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, PLAIN: str(int(module in PLAIN_PROCESSES))},
     ).stdout.split()
     found = {name.partition(".")[0] for name in loaded} & HEAVY
     assert found <= ALLOWED[module] | (SUPERVISOR_LOADS if module == "bench.supervisor.daemon" else set())
-    assert ("scipy.linalg" in loaded) <= (module in COMPUTES_CONTROL)
+    assert not {"scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal"} & set(loaded)
 
 
 def _rollup(pid: int) -> dict[str, int]:
@@ -95,7 +102,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchProcess]:
 @pytest.mark.live
 @pytest.mark.paced
 def test_running_process_maps_only_allowed_libraries(bench: BenchProcess) -> None:
-    assert not _libraries(bench.pid("recorder")) & {"zenoh"}
+    assert not _libraries(bench.pid("supervisor")) & {"pandas", "pyarrow"}
+    assert not _libraries(bench.pid("recorder")) & {"llvmlite", "numba", "pandas", "scipy", "zenoh"}
     assert not _libraries(bench.pid("publisher")) & {"llvmlite", "numba", "pandas", "scipy"}
     assert not _libraries(bench.pid("loop")) & {"pandas", "pyarrow", "zenoh"}
 

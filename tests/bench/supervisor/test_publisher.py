@@ -26,8 +26,8 @@ from bench.config import NetworkSettings
 from bench.network.zenoh_session import open_client, open_daemon
 from bench.records.telemetry.batches import Batch, decode_batch
 from bench.records.telemetry.ring import RingWriter
-from bench.supervisor.child_process import HEARTBEAT, Condition, heartbeat_file
-from bench.supervisor.publisher import Publisher, PublisherPlan
+from bench.supervisor.child_process import HEARTBEAT, Condition, PublisherPlan, heartbeat_file
+from bench.supervisor.publisher import Publisher
 from bench.supervisor.tick_timing import TickTiming, create_timing
 from drivers.base.shared_memory import SharedRecord
 

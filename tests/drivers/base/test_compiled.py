@@ -15,7 +15,8 @@ import pytest
 
 from drivers.base import compile_report
 from drivers.base.compile_report import CompileProgress, announce_compilation
-from drivers.base.compiled import _KeptCode, compiled
+from drivers.base.compiled import compiled
+from drivers.base.kept_code import _KeptCode
 
 TOP = Path(__file__).parents[3]
 
