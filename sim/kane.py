@@ -27,7 +27,7 @@ from sim.robot import RobotParameters
 
 Array = NDArray[np.float64]
 KaneTerms = tuple[float, float, float, float, float, float, float, float, float, float]
-BodyTerms = tuple[float, float, float, float, float, float, float, float, float]
+BodyTerms = tuple[float, float, float, float, float]
 
 
 @compiled
@@ -35,34 +35,27 @@ def _body(
     mass: float,
     inertia: float,
     spin_2: float,
-    spin_3: float,
     spin_rate: float,
     px: float,
     py: float,
     p2x: float,
     p2y: float,
-    p3x: float,
-    p3y: float,
     ax: float,
     ay: float,
 ) -> BodyTerms:
-    """Return one body's part of the mass matrix and of the bias forces.
+    """Return m11, m12, m22, h1, h2 of a body that theta3 does not move.
 
-    `spin_2`, `spin_3` are its partial angular velocities (that of u1 is 1), p its centre of mass in frame 1
-    and p_r = dp/dtheta_r, so that its partial velocities are z x p, p_2, p_3. `spin_rate` and `a` are the
-    parts of its angular and linear acceleration (less gravity) that remain when du/dt = 0.
+    `spin_2` is its partial angular velocity for u2 (that of u1 is 1), p its centre of mass in frame 1 and
+    p_2 = dp/dtheta2, so that its partial velocities are z x p and p_2. `spin_rate` and `a` are the parts of
+    its angular and linear acceleration (less gravity) that remain when du/dt = 0.
     """
     torque_bias = inertia * spin_rate
     return (
         mass * (px * px + py * py) + inertia,
         mass * (px * p2y - py * p2x) + inertia * spin_2,
-        mass * (px * p3y - py * p3x) + inertia * spin_3,
         mass * (p2x * p2x + p2y * p2y) + inertia * spin_2 * spin_2,
-        mass * (p2x * p3x + p2y * p3y) + inertia * spin_2 * spin_3,
-        mass * (p3x * p3x + p3y * p3y) + inertia * spin_3 * spin_3,
         mass * (px * ay - py * ax) + torque_bias,
         mass * (p2x * ax + p2y * ay) + torque_bias * spin_2,
-        mass * (p3x * ax + p3y * ay) + torque_bias * spin_3,
     )
 
 
@@ -109,54 +102,50 @@ def kane_terms_at(
     w_arm = u1 + turn * u2
     arm_rate = turn_slope * u2 * u2
 
-    # A: shoulder link.
-    a_b = _body(
-        r.mass_a, r.inertia_a, 0.0, 0.0, 0.0, r.com_a, 0.0, 0.0, 0.0, 0.0, 0.0, gx - u11 * r.com_a, gy
-    )
+    # A: shoulder link, which u1 alone moves.
+    a_11, a_h1 = r.mass_a * (r.com_a * r.com_a) + r.inertia_a, r.mass_a * (r.com_a * gy)
     # B: left arm.
     bx, by = r.com_b * c2, r.com_b * s2
-    b_b = _body(
-        r.mass_b, r.inertia_b, 1.0, 0.0, 0.0,
-        r.l12 + bx, by, -by, bx, 0.0, 0.0,
+    b_11, b_12, b_22, b_h1, b_h2 = _body(
+        r.mass_b, r.inertia_b, 1.0, 0.0,
+        r.l12 + bx, by, -by, bx,
         gx - u11 * r.l12 - w2w2 * bx, gy - w2w2 * by,
     )  # fmt: skip
-    # C: club.
+    # C: club; its partial velocity for u3 is z x f.
     ex, ey = r.l23 * c2, r.l23 * s2
     fx, fy = r.com_c * c23, r.com_c * s23
     wrist_ax, wrist_ay = gx - u11 * r.l12 - w2w2 * ex, gy - w2w2 * ey
-    c_b = _body(
-        r.mass_c, r.inertia_c, 1.0, 1.0, 0.0,
-        r.l12 + ex + fx, ey + fy, -ey - fy, ex + fx, -fy, fx,
-        wrist_ax - w3w3 * fx, wrist_ay - w3w3 * fy,
-    )  # fmt: skip
+    cx, cy, c2x, c2y = r.l12 + ex + fx, ey + fy, -ey - fy, ex + fx
+    c_ax, c_ay = wrist_ax - w3w3 * fx, wrist_ay - w3w3 * fy
+    c_11, c_12, c_22, c_h1, c_h2 = _body(r.mass_c, r.inertia_c, 1.0, 0.0, cx, cy, c2x, c2y, c_ax, c_ay)
     # D: rod, back from R3 along -n. n' = n turned by a right angle.
     d_ax = wrist_ax + r.com_d * (w_arm * w_arm * nx + arm_rate * ny)
     d_ay = wrist_ay + r.com_d * (w_arm * w_arm * ny - arm_rate * nx)
-    d_b = _body(
-        r.mass_d, r.inertia_d, turn, 0.0, arm_rate,
+    d_11, d_12, d_22, d_h1, d_h2 = _body(
+        r.mass_d, r.inertia_d, turn, arm_rate,
         r.l12 + ex - r.com_d * nx, ey - r.com_d * ny,
-        -ey + r.com_d * turn * ny, ex - r.com_d * turn * nx, 0.0, 0.0,
+        -ey + r.com_d * turn * ny, ex - r.com_d * turn * nx,
         d_ax, d_ay,
     )  # fmt: skip
     # E: cylinder, from R6 along n; its centre of mass does not slide along the arm (erratum 6).
     e_ax = gx + u11 * r.l16 - r.com_e * (w_arm * w_arm * nx + arm_rate * ny)
     e_ay = gy - r.com_e * (w_arm * w_arm * ny - arm_rate * nx)
-    e_b = _body(
-        r.mass_e, r.inertia_e, turn, 0.0, arm_rate,
+    e_11, e_12, e_22, e_h1, e_h2 = _body(
+        r.mass_e, r.inertia_e, turn, arm_rate,
         -r.l16 + r.com_e * nx, r.com_e * ny,
-        -r.com_e * turn * ny, r.com_e * turn * nx, 0.0, 0.0,
+        -r.com_e * turn * ny, r.com_e * turn * nx,
         e_ax, e_ay,
     )  # fmt: skip
     return (
-        a_b[0] + b_b[0] + c_b[0] + d_b[0] + e_b[0],
-        a_b[1] + b_b[1] + c_b[1] + d_b[1] + e_b[1],
-        a_b[2] + b_b[2] + c_b[2] + d_b[2] + e_b[2],
-        a_b[3] + b_b[3] + c_b[3] + d_b[3] + e_b[3],
-        a_b[4] + b_b[4] + c_b[4] + d_b[4] + e_b[4],
-        a_b[5] + b_b[5] + c_b[5] + d_b[5] + e_b[5],
-        a_b[6] + b_b[6] + c_b[6] + d_b[6] + e_b[6],
-        a_b[7] + b_b[7] + c_b[7] + d_b[7] + e_b[7],
-        a_b[8] + b_b[8] + c_b[8] + d_b[8] + e_b[8],
+        a_11 + b_11 + c_11 + d_11 + e_11,
+        b_12 + c_12 + d_12 + e_12,
+        r.mass_c * (cx * fx + cy * fy) + r.inertia_c,
+        b_22 + c_22 + d_22 + e_22,
+        r.mass_c * (c2y * fx - c2x * fy) + r.inertia_c,
+        r.mass_c * (fx * fx + fy * fy) + r.inertia_c,
+        a_h1 + b_h1 + c_h1 + d_h1 + e_h1,
+        b_h2 + c_h2 + d_h2 + e_h2,
+        r.mass_c * (fx * c_ay - fy * c_ax),
         lever,
         l46,
     )
