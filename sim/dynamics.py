@@ -22,7 +22,7 @@ from __future__ import annotations
 from math import cos, exp, inf, sin, sqrt
 from typing import Any
 
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled, compiled_in_place, compiled_inner
 from sim.ground import ground_drag
 from sim.kane import kane_terms_at, solve_symmetric
 from sim.pneumatics import flow, stop_force
@@ -43,7 +43,7 @@ _SWEEPS = 500
 _CONVERGED = 1e-14
 
 
-@compiled
+@compiled_inner
 def head_geometry(r: Any, p: Any, y: Any) -> Head:
     """Return the face centre's x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s) from state vector `y`.
 
@@ -116,7 +116,7 @@ def wrist_cylinder(p: Any, sine: float, cosine: float) -> tuple[float, float]:
     return p.lever_cos * sine + p.lever_sin * cosine, p.lever_cos * cosine - p.lever_sin * sine
 
 
-@compiled
+@compiled_in_place
 def chambers(
     p: Any, i: int, y: Any, dy: Any, opening: float, position: float, speed: float, vent: float
 ) -> tuple[float, float]:
@@ -196,7 +196,7 @@ def friction_impulse(
     )
 
 
-@compiled
+@compiled_inner
 def _derivative(
     r: Any,
     p: Any,
@@ -332,7 +332,7 @@ def _derivative(
         dy[14] = across_force / p.head_mass - across1 * a1 - across2 * a2 - across3 * a3
 
 
-@compiled
+@compiled_inner
 def _release(terms: Any, dy: Any, slip: Any) -> bool:
     """Set `slip` of the held joints whose load exceeds their static friction; return whether any did."""
     m11, m12, m13, m22, m23, m33 = terms[0], terms[1], terms[2], terms[3], terms[4], terms[5]
@@ -371,7 +371,7 @@ def _wrong_impulse(slip: float, before: float, after: float, bound: float, inter
     return 2.0 * bound * interval * abs(after) / (abs(before) + abs(after))
 
 
-@compiled
+@compiled_inner
 def _turn_round(y: Any, out: Any, slip: Any, terms: Any, interval: float) -> None:
     """Correct the speeds in `out` of joints whose speed crossed zero since `y`."""
     if slip[0] * out[3] >= 0.0 and slip[1] * out[4] >= 0.0 and slip[2] * out[5] >= 0.0:
@@ -395,7 +395,7 @@ def _turn_round(y: Any, out: Any, slip: Any, terms: Any, interval: float) -> Non
     out[3], out[4], out[5] = u1, u2, u3
 
 
-@compiled
+@compiled_inner
 def _between(nodes: Any, i: int, part: float) -> float:
     """Return opening i at `part` (0..1) of a substep: the parabola through its three `nodes`."""
     start, middle, end = nodes[0, i], nodes[1, i], nodes[2, i]
@@ -407,7 +407,7 @@ def _between(nodes: Any, i: int, part: float) -> float:
     return opening
 
 
-@compiled
+@compiled_inner
 def move(
     r: Any,
     p: Any,
@@ -448,7 +448,7 @@ def move(
     _turn_round(y, out, slip, terms, interval)
 
 
-@compiled
+@compiled_inner
 def stop_coordinate(r: Any, y: Any, i: int) -> float:
     """Return the coordinate that stop i limits: theta1 (rad), the rod's extension (m), theta3 (rad)."""
     if i != 1:

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.base.compiled import compiled, copy_fields, fields, new_record
+from drivers.base.compiled import compiled, compiled_inner, copy_fields, fields, new_record
 from drivers.base.ranges import Range
 from sim.ball import Ball
 from sim.dynamics import (
@@ -393,7 +393,7 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
     return state
 
 
-@compiled
+@compiled_inner
 def _note_stops(r: Any, p: Any, s: Any, y: Any) -> None:
     """Record the max energy and depth of each end-stop cushion."""
     for i in range(3):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 from typing import Any
 
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled_inner
 from sim.dynamics import head_geometry, head_jacobian, move
 from sim.impact import face_gap, impact_in_plane, meets_face, strike_point
 from sim.kane import kane_terms, solve_symmetric
@@ -15,14 +15,14 @@ _FACE_REACH = 0.07
 _GAP_FOUND = 1e-12
 
 
-@compiled
+@compiled_inner
 def _gap(r: Any, p: Any, impact: Any, y: Any) -> float:
     """Return how far the ball is ahead of the face (m); below zero the face has passed it."""
     x, h, theta, _, _, _ = head_geometry(r, p, y)
     return face_gap(x, h, theta, p.ball_x, p.ball_y, impact)
 
 
-@compiled
+@compiled_inner
 def find_contact(
     r: Any,
     p: Any,
@@ -70,7 +70,7 @@ def find_contact(
     return -1.0
 
 
-@compiled
+@compiled_inner
 def strike_ball(r: Any, p: Any, impact: Any, s: Any, y: Any) -> None:
     """Apply the impact: one impulse on the ball and, reversed, on the robot at state vector `y`.
 

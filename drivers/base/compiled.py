@@ -1,4 +1,4 @@
-"""The one decorator for compiled numerics, and the records that compiled functions take.
+"""The decorators for compiled numerics, and the records that compiled functions take.
 
 `NUMBA_DISABLE_JIT=1` runs everything as plain Python (coverage and mutation tests).
 `NUMBA_CACHE_DIR` moves the cache (the service sets it).
@@ -28,6 +28,23 @@ def compiled(function: _Function) -> _Function:
     No fast-math: lock-step simulation and the real-time loop must agree bit for bit, and NaN must
     stay NaN so that the envelope sees it.
     """
+    return _compiled(function)
+
+
+def compiled_inner(function: _Function) -> _Function:
+    """Compile `function` as `compiled` does, for an inner loop: it counts no references to its arrays.
+
+    It must neither make nor return arrays, nor assign to slices; numba notices all but the second.
+    """
+    return _compiled(function, _nrt=False)
+
+
+def compiled_in_place(function: _Function) -> _Function:
+    """Compile `function` as `compiled_inner` does, into each function that calls it."""
+    return _compiled(function, _nrt=False, forceinline=True)
+
+
+def _compiled(function: _Function, **options: bool) -> _Function:
     if IS_PLAIN:
         return function
     import numba
@@ -35,7 +52,7 @@ def compiled(function: _Function) -> _Function:
     from drivers.base.kept_code import keep_code, share_versions
 
     progress.known += 1
-    made = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    made = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     share_versions(made)
     keep_code(made, function.__module__)
     return cast(_Function, made)

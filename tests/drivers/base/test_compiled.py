@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 import subprocess
@@ -88,6 +89,21 @@ def run(copy: Path) -> tuple[int, int]:
     return int(printed(copy, "from bench.control.example import refusal; print(refusal())")), len(
         [*(copy / "cache/compiled/bench.control.example").iterdir()]
     )
+
+
+def test_compiled_inner_functions_return_no_arrays() -> None:
+    """Numba does not notice: the caller would free an array that somebody still has."""
+    paths = (path for package in ("bench", "drivers", "sim") for path in (TOP / package).rglob("*.py"))
+    trees = (ast.parse(path.read_text()) for path in paths)
+    returned = {
+        node.name: ast.unparse(node.returns or ast.Name("Any"))
+        for tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        and {ast.unparse(name) for name in node.decorator_list} & {"compiled_inner", "compiled_in_place"}
+    }
+    assert "move" in returned
+    assert not {name: kind for name, kind in returned.items() if "Any" in kind or "rray" in kind}
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")

@@ -50,7 +50,7 @@ def imported(module: str, is_package: bool, tree: ast.Module) -> Iterator[str]:
 
 def has_compiled_function(tree: ast.Module) -> bool:
     return any(
-        isinstance(decorator, ast.Name) and decorator.id == "compiled"
+        isinstance(decorator, ast.Name) and decorator.id.startswith("compiled")
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
         for decorator in node.decorator_list
