@@ -28,8 +28,10 @@ from sim.kane import kane_terms_at, solve_symmetric
 from sim.pneumatics import flow, stop_force
 
 STATES = 19
-SCRATCH = 5
+SCRATCH = 6
 """Rows of length `STATES` that `move` works in."""
+ANGLES = 5
+"""Row of scratch with the last joint angles, their cosines and their sines: at rest none is computed anew."""
 
 Head = tuple[float, float, float, float, float, float]
 
@@ -196,6 +198,14 @@ def friction_impulse(
     )
 
 
+@compiled_in_place
+def _cosine_sine(angles: Any, i: int, angle: float) -> tuple[float, float]:
+    """Return cosine and sine of joint i's `angle`, from `angles` if it is the last one."""
+    if angles[i] != angle:
+        angles[i], angles[3 + i], angles[6 + i] = angle, cos(angle), sin(angle)
+    return angles[3 + i], angles[6 + i]
+
+
 @compiled_inner
 def _derivative(
     r: Any,
@@ -209,17 +219,22 @@ def _derivative(
     slip: Any,
     dy: Any,
     terms: Any,
+    angles: Any,
 ) -> None:
     """Write dy/dt of `y` into `dy`, and the terms for friction events into `terms`.
 
     `x` are the spools' openings, `feed` the conductance from the regulator (zero: the manifold is dumped),
     `vent` that of each chamber's vent. `terms`: mass matrix (m11 m12 m13 m22 m23 m33), generalised forces
     without those that hold a joint, bounds of dry friction (N m), the head's motion across a flexible
-    shaft per joint speed (m), the actuators' efforts.
+    shaft per joint speed (m), the actuators' efforts. `angles` is the row ANGLES of scratch.
     """
     q1, q2, q3, u1, u2, u3 = y[0], y[1], y[2], y[3], y[4], y[5]
     flex, flex_speed = y[13], y[14]
-    c1, s1, c2, s2, c3, s3 = cos(q1), sin(q1), cos(q2), sin(q2), cos(q3), sin(q3)
+    (c1, s1), (c2, s2), (c3, s3) = (
+        _cosine_sine(angles, 0, q1),
+        _cosine_sine(angles, 1, q2),
+        _cosine_sine(angles, 2, q3),
+    )
     c12, s12 = c1 * c2 - s1 * s2, s1 * c2 + c1 * s2
     c23, s23 = c2 * c3 - s2 * s3, s2 * c3 + c2 * s3
     c123, s123 = c1 * c23 - s1 * s23, s1 * c23 + c1 * s23
@@ -424,10 +439,11 @@ def move(
     """Write into `out` the state after the part begin..end (0..1) of a substep of `step` s from `y`.
 
     Runge-Kutta of fourth order. `nodes` (3, 3) are the spools' openings at start, middle and end of the
-    substep; `feed`, `vent` as in `_derivative`; `scratch` (SCRATCH, STATES) is work space that afterwards
-    holds the actuators' efforts at the end of its last row.
+    substep; `feed`, `vent` as in `_derivative`; `scratch` (SCRATCH, STATES) is work space, NaN in
+    row ANGLES at first, that afterwards holds the actuators' efforts at the end of row 4.
     """
     point, dy, total, slip, terms = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    angles = scratch[ANGLES]
     interval = (end - begin) * step
     for i in range(3):
         slip[i] = _sign(y[3 + i])
@@ -436,9 +452,9 @@ def move(
     for stage in range(4):
         at = begin + _PART[stage] * (end - begin)
         x1, x2, x3 = _between(nodes, 0, at), _between(nodes, 1, at), _between(nodes, 2, at)
-        _derivative(r, p, point, x1, x2, x3, feed, vent, slip, dy, terms)
+        _derivative(r, p, point, x1, x2, x3, feed, vent, slip, dy, terms, angles)
         if stage == 0 and slip[0] * slip[1] * slip[2] == 0.0 and _release(terms, dy, slip):
-            _derivative(r, p, point, x1, x2, x3, feed, vent, slip, dy, terms)
+            _derivative(r, p, point, x1, x2, x3, feed, vent, slip, dy, terms, angles)
         ahead = interval if stage == 2 else 0.5 * interval
         for k in range(STATES):
             total[k] += _WEIGHT[stage] * dy[k]

@@ -20,6 +20,7 @@ from drivers.base.compiled import compiled, compiled_inner, copy_fields, fields,
 from drivers.base.ranges import Range
 from sim.ball import Ball
 from sim.dynamics import (
+    ANGLES,
     SCRATCH,
     STATES,
     head_geometry,
@@ -32,7 +33,7 @@ from sim.impact import impact_parameters
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply
 from sim.robot import Length, RobotParameters
 from sim.sensors import HISTORY
-from sim.tee import find_contact, strike_ball
+from sim.tee import find_contact, is_near_ball, strike_ball
 
 Array = NDArray[np.float64]
 
@@ -422,6 +423,7 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     r, p, s, c = robot[0], plant[0], state[0], command[0]
     y, trial = np.empty(STATES), np.empty(STATES)
     nodes, scratch = np.empty((3, 3)), np.empty((SCRATCH, STATES))
+    scratch[ANGLES] = np.nan
     step = p.tick / p.substeps
     if c.tee and not s.tee_before:
         s.ball_present, s.struck = True, False
@@ -452,6 +454,7 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     for i in range(6):
         y[6 + i] = s.pressure[i]
     y[12], y[13], y[14], y[18] = s.supply_pressure, s.flex, s.flex_speed, 0.0
+    near_ball = s.ball_present and is_near_ball(r, p, y)
 
     for n in range(p.substeps):
         for i in range(3):
@@ -463,7 +466,7 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
                 s.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
                 nodes[half, i] = s.spool[i]
         move(r, p, y, nodes, 0.0, 1.0, step, feed, vent, scratch, trial)
-        if s.ball_present:
+        if near_ball and s.ball_present:
             part = find_contact(r, p, impact, y, nodes, step, feed, vent, scratch, trial)
             if part >= 0.0:
                 for k in range(STATES):

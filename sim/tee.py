@@ -13,6 +13,8 @@ from sim.kane import kane_terms, solve_symmetric
 _FACE_REACH = 0.07
 """Max distance of a contact point from the face's centre (m)."""
 _GAP_FOUND = 1e-12
+_FASTER = 300.0
+"""Speed (m/s) that no head reaches."""
 
 
 @compiled_inner
@@ -20,6 +22,14 @@ def _gap(r: Any, p: Any, impact: Any, y: Any) -> float:
     """Return how far the ball is ahead of the face (m); below zero the face has passed it."""
     x, h, theta, _, _, _ = head_geometry(r, p, y)
     return face_gap(x, h, theta, p.ball_x, p.ball_y, impact)
+
+
+@compiled_inner
+def is_near_ball(r: Any, p: Any, y: Any) -> bool:
+    """Return whether the face may meet the ball in the tick that begins with `y`."""
+    x, h, _, _, _, _ = head_geometry(r, p, y)
+    far = _FACE_REACH + 2.0 * _FASTER * p.tick
+    return not (x - p.ball_x) ** 2 + (h - p.ball_y) ** 2 > far * far  # so that NaN is near
 
 
 @compiled_inner
