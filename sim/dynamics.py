@@ -31,7 +31,7 @@ STATES = 19
 SCRATCH = 6
 """Rows of length `STATES` that `move` works in."""
 ANGLES = 5
-"""Row of scratch with the last joint angles, their cosines and their sines: at rest none is computed anew."""
+"""Row of scratch with the last joint angles, their cosines and sines, so that rest needs no new ones."""
 
 Head = tuple[float, float, float, float, float, float]
 

@@ -92,7 +92,7 @@ def run(copy: Path) -> tuple[int, int]:
 
 
 def test_compiled_inner_functions_return_no_arrays() -> None:
-    """Numba does not notice: the caller would free an array that somebody still has."""
+    """Numba does not notice: the caller would free an array that is still in use."""
     paths = (path for package in ("bench", "drivers", "sim") for path in (TOP / package).rglob("*.py"))
     trees = (ast.parse(path.read_text()) for path in paths)
     returned = {
