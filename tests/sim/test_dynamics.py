@@ -458,7 +458,9 @@ def test_flexible_shaft_accelerations_match_lagrange() -> None:
         y[6:13] = plant.parameters.supply.atmosphere
         terms = np.zeros(STATES)
         record, parameters, _ = plant.records
-        _derivative(record[0], parameters[0], y, 0.0, 0.0, 0.0, 0.0, 0.0, np.ones(3), dy, terms)
+        _derivative(
+            record[0], parameters[0], y, 0.0, 0.0, 0.0, 0.0, 0.0, np.ones(3), dy, terms, np.full(9, np.nan)
+        )
         expected = model.acceleration(x, v)
         found = np.array([*dy[3:6], dy[14]])
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-6 * float(np.abs(expected).max()))

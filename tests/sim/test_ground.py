@@ -35,7 +35,9 @@ def state_of(speed: tuple[float, float, float], flex: float, flex_speed: float) 
 def rates(plant: Plant, y: Any) -> Any:
     dy, terms = np.zeros(STATES), np.zeros(STATES)
     robot, parameters, _ = plant.records
-    _derivative(robot[0], parameters[0], y, 0.0, 0.0, 0.0, 0.0, 0.0, np.ones(3), dy, terms)
+    _derivative(
+        robot[0], parameters[0], y, 0.0, 0.0, 0.0, 0.0, 0.0, np.ones(3), dy, terms, np.full(9, np.nan)
+    )
     return dy
 
 

@@ -82,8 +82,9 @@ def test_deferred_interrupt_defers_sigterm_only_with_terminate() -> None:
 
 
 _ON_A_TERMINAL = """
-import fcntl, sys, termios, time
+import fcntl, signal, sys, termios, time
 from bench.base.interrupt import deferred_interrupt
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 with deferred_interrupt(terminate=True) as asked:
     print("started", flush=True)

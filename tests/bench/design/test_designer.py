@@ -112,7 +112,10 @@ def test_build_equations_derivative_matches_plant(plant: PlantParameters, mounte
         slip[:3] = np.sign(speed)
         feed = plant.supply.feed_conductance
         one, two, three = (float(value) for value in opening)
-        _derivative(records.robot[0], records.plant[0], y, one, two, three, feed, 0.0, slip, rate, terms)
+        angles = np.full(9, np.nan)
+        _derivative(
+            records.robot[0], records.plant[0], y, one, two, three, feed, 0.0, slip, rate, terms, angles
+        )
         state = np.concatenate([angle, speed, pressure / BAR, [supply / BAR], opening])
         found = np.array(equations.derivative(state, np.zeros(3))).ravel()
         assert found[3:6] == pytest.approx(rate[3:6], rel=5e-3, abs=1.0)
