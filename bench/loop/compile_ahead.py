@@ -35,7 +35,7 @@ def compile_ahead() -> Iterator[bool]:
     """Compile the whole step: the decision in another process during the block, the rest before the block.
 
     The block gets whether this is done: not where the machine code is on disk or there is one processor only.
-    Where the other process fails, the first tick compiles what is missing.
+    Where the other process fails, the first tick compiles the decision.
     """
     if not _needed():
         yield False
@@ -69,7 +69,7 @@ def compile_rest() -> None:
 
 
 def compile_decision() -> None:
-    """Compile the decision, unless it is on disk; of processes at one time the first does."""
+    """Compile the decision, unless it is on disk; other processes that need it wait for the first."""
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "decision.lock").open("w") as lock:

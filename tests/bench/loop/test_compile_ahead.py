@@ -20,7 +20,7 @@ from drivers.base.kept_code import is_kept
 from sim.plant import PlantParameters
 
 
-def test_empty_parameters_have_types_of_a_controllers() -> None:
+def test_empty_parameters_have_types_of_controller() -> None:
     real = build_controller(PlantParameters(), load_profile(find_profile("default")))
     assert numba.typeof(empty_parameters()) == numba.typeof(real)
 
