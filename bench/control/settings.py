@@ -25,13 +25,14 @@ from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimate.encoder import design_encoders
 from bench.control.estimate.estimator import design_estimator
 from bench.control.estimate.residual_monitor import ARMING, BRAKING, KINDS, LEARNING, MODEL_LIMITS, SHOCK
-from bench.control.law.feed_forward import CODES, FeedForward, demand_for, kane_gains
+from bench.control.law.feed_forward import CODES, FeedForward, kane_gains
+from bench.control.law.force_reference import demand_for
 from bench.control.law.gain_scheduling import machine_gains
 from bench.control.law.gain_table import Gains, GainTable, constant_gains
 from bench.control.law.pid import design_pid
 from bench.control.moves import ground_clearance
 from bench.control.moves.braking import lifted_angle
-from bench.control.moves.homing import pressed_stops, stop_tolerance
+from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.moves.pressure_plan import dither_amplitudes, dither_duties, dither_periods
 from bench.control.step_records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.swing.profile import Profile

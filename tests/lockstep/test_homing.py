@@ -13,7 +13,7 @@ import pytest
 from bench.base.configuration_files import find_configuration
 from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from bench.config import load_configuration
-from bench.control.moves.homing import pressed_stops, stop_tolerance
+from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.settings import SIMULATED, EnvelopeSettings, HomingSettings, build_controller
 from bench.control.step_records import new_control_state
 from bench.simulation.lockstep import Lockstep

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.estimate.air import actuator_motion
-from bench.control.law.feed_forward import actuator_forces
+from bench.control.law.force_reference import actuator_forces
 from bench.control.law.gain_table import Gains
 from drivers.base.compiled import compiled
 from sim.dynamics import chambers

@@ -15,15 +15,11 @@ index; the angle, from there on the joint's, is taken over without a jump of the
 No output of the bench lowers the supply's pressure. The openings of the valves are bounded instead. This
 bounds the flow and so the speed at which a joint can move, not the force at which it presses against an
 obstacle; the following error ends that.
-
-A joint pressed against its stop rests where the stop's spring balances its air and gravity. The air is less
-than the full supply pressure: the valve is open a little only, and chambers leak.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -31,12 +27,7 @@ from bench.base.lifecycle import Cause, Phase
 from bench.control.law.pid import reset_integral
 from bench.control.moves.first_motion import is_free
 from bench.control.moves.references import direction
-from bench.swing.profile import Profile
 from drivers.base.compiled import compiled
-from sim.driver import joint_travel
-from sim.kane import inverse_dynamics
-from sim.kinematics import forward_kinematics, right_arm_length, theta2_from_right_arm
-from sim.plant import PlantParameters
 
 RAMP = 0.3
 """Time from rest to the speed of the search (s)."""
@@ -251,59 +242,3 @@ def search_cause(
         elif not abs(angle[i] - h.start[i]) <= p.home_travel[i] + _BEYOND:
             return Cause.HOMING_FAILED
     return 0
-
-
-Array: TypeAlias = np.ndarray[Any, Any]
-
-_STOP_PRESSURE = 0.83
-"""Fraction of the depth at full supply pressure to which homing presses a joint: 0.77 to 0.95 on simulated
-plants, which is within 0.7 mrad."""
-_MIN_SHARE = 0.4
-"""Share of the head's tolerance that is left to the zeros where stops are soft."""
-_STEP = 1e-5
-"""Step of joint angles in derivatives (rad)."""
-
-
-def pressed_stops(plant: PlantParameters, direction: Sequence[int]) -> Array:
-    """Return the angles (3,) rad at which joints rest, pressed against their stops in `direction` (±1)."""
-    return _pressed(plant, direction, _STOP_PRESSURE)
-
-
-def stop_tolerance(
-    plant: PlantParameters, profile: Profile, direction: Sequence[int], head_tolerance: float
-) -> Array:
-    """Return the max deviation (3,) rad of joints from their pressed stops.
-
-    No zero that passes shifts the head at the ball by more than `head_tolerance` (m), however deep the air
-    has pressed the joint; where stops are so soft that _MIN_SHARE holds, by that depth more.
-    """
-    whole = head_tolerance / head_travel(plant, profile)
-    deeper = np.abs(_pressed(plant, direction, 1.0) - pressed_stops(plant, direction))
-    return np.asarray(np.maximum(whole - deeper, _MIN_SHARE * whole))
-
-
-def _pressed(plant: PlantParameters, direction: Sequence[int], share: float) -> Array:
-    """Return the angles (3,) rad of joints at `share` of their depth at full supply pressure."""
-    lower, upper = joint_travel(plant)
-    towards = np.array(direction)
-    ends = np.where(towards < 0, lower, upper)
-    load = inverse_dynamics(plant.robot, ends, np.zeros(3), np.zeros(3))
-    pressure = plant.supply.pressure - plant.supply.atmosphere
-    lever = np.array([1.0, 1.0, plant.wrist_lever * float(plant.wrist_authority(ends[2]))])
-    area = [a.area_b if way < 0 else a.area_a for a, way in zip(plant.actuators, direction, strict=True)]
-    stiffness = np.array([actuator.stop.stiffness for actuator in plant.actuators])
-    depth = share * np.maximum(pressure * np.array(area) * lever - towards * load, 0.0) / stiffness
-    length = float(right_arm_length(plant.robot, ends[1])) + towards[1] * depth[1]
-    pressed = ends + towards * depth
-    pressed[1] = float(theta2_from_right_arm(plant.robot, length))
-    return np.asarray(pressed)
-
-
-def head_travel(plant: PlantParameters, profile: Profile) -> Array:
-    """Return by how much a wrong encoder zero of each joint (3,) shifts the head at the ball (m/rad)."""
-    at = profile.angle_at_impact
-    moved = [
-        forward_kinematics(plant.robot, at + step) - forward_kinematics(plant.robot, at - step)
-        for step in _STEP * np.eye(3)
-    ]
-    return np.asarray(np.hypot(*np.array(moved).T[:2])) / (2 * _STEP)

@@ -15,7 +15,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.law.feed_forward import actuator_forces
+from bench.control.law.force_reference import actuator_forces
 from bench.swing.profile import Profile
 from drivers.base import ACTUATORS
 from sim.kinematics import right_arm_length

@@ -14,14 +14,8 @@ from hypothesis import strategies as st
 from bench.base.lifecycle import Cause, Phase
 from bench.config import load_configuration, shipped_configuration
 from bench.control.estimate.air import actuator_force
-from bench.control.law.feed_forward import (
-    FeedForward,
-    actuator_forces,
-    demand_of,
-    force_rates,
-    kane_gains,
-    opening_for,
-)
+from bench.control.law.feed_forward import FeedForward, force_rates, kane_gains, opening_for
+from bench.control.law.force_reference import actuator_forces, demand_of
 from bench.control.settings import ControlSettings
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import WORN

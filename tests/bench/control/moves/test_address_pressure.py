@@ -11,7 +11,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.control.estimate.air import load_force
-from bench.control.law.feed_forward import actuator_forces
+from bench.control.law.force_reference import actuator_forces
 from bench.control.law.gain_table import DAMPING
 from bench.control.moves.address_pressure import LATE, SLIPPED
 from bench.control.moves.pressure_plan import dither_amplitudes, dither_periods, planned_air, with_planned_air
