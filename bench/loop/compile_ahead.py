@@ -1,21 +1,22 @@
 """Compile the decision of the control step, half of all compiled code, in another process.
 
-`python -m bench.loop.compile_ahead` is that process. Its machine code is kept on disk, where the process that
-has started it finds it. Processes that need it at one time, like workers, compile it once.
+`python -m bench.loop.compile_ahead PARENT` is that process; PARENT finds its machine code on disk. Of processes
+that need it at one time, the first compiles it.
 """
 
 from __future__ import annotations
 
 import fcntl
+import multiprocessing
 import os
-import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cache
 
+from bench.base.interrupt import end_with
 from bench.control.step import decide_tick, estimate_tick, limit_tick
 from bench.control.step_records import new_control_state
 from bench.loop.compiled_tick import empty_parameters
@@ -28,37 +29,53 @@ from drivers.base.records import COMMAND, READINGS
 
 _POLL_PERIOD = 2.5
 """Time between two reports while the other process still compiles, s."""
+_TIMEOUT = 600.0
+"""Max time of the compilation in the other process, s."""
 
 
 @contextmanager
 def compile_ahead() -> Iterator[bool]:
     """Compile the whole step: the decision in another process during the block, the rest before the block.
 
-    The block gets whether this is done: not where the machine code is on disk or there is one processor only.
-    Where the other process fails, the first tick compiles the decision.
+    The block gets whether this is done, at most once in a process: not where the machine code is on disk,
+    there is one processor only, or this is a worker of several. Where the other process fails or takes too
+    long, the first tick compiles the decision.
     """
-    if not _needed():
+    other = _other_process()
+    if other is None or other.poll() is not None:
         yield False
         return
     begin = time.monotonic()
-    command = [sys.executable, "-P", "-m", "bench.loop.compile_ahead"]
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as other:
-        try:
-            compile_rest()
-            yield True
-            while other.poll() is None:
-                with suppress(subprocess.TimeoutExpired):
-                    other.wait(_POLL_PERIOD)
-                seconds = time.monotonic() - begin
+    try:
+        compile_rest()
+        yield True
+        while other.poll() is None and (seconds := time.monotonic() - begin) < _TIMEOUT:
+            try:
+                other.wait(_POLL_PERIOD)
+            except subprocess.TimeoutExpired:
                 report_compilation(f"compiling the control step, once for each version: {seconds:.0f} s")
-        finally:
-            other.terminate()
+    finally:
+        other.kill()
+        other.wait()
 
 
 @cache
-def _needed() -> bool:
-    """Return whether this process is the first to run the step, with processors for two."""
-    return not IS_PLAIN and len(os.sched_getaffinity(0)) > 1 and not is_kept(decide_tick)
+def _other_process() -> subprocess.Popen[bytes] | None:
+    """Return the process that compiles the decision, started once; None where there is none."""
+    is_worker = multiprocessing.parent_process() is not None
+    if IS_PLAIN or is_worker or len(os.sched_getaffinity(0)) < 2 or is_kept(decide_tick):
+        return None
+    quiet = subprocess.DEVNULL
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "bench.loop.compile_ahead", str(os.getpid())],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            stdin=quiet,
+            stdout=quiet,  # a pipe behind the parent's must not wait for this process
+            stderr=quiet,
+        )
+    except OSError:
+        return None
 
 
 def compile_rest() -> None:
@@ -78,7 +95,12 @@ def compile_decision() -> None:
             compile_for(decide_tick, new_control_state(), empty_parameters(), new_record(READINGS), 0.0)
 
 
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    announce_compilation(str)  # its parent reports
+def main(parent: int) -> None:
+    """Compile the decision; end with the process `parent`, that has started this one and reports."""
+    end_with(parent)
+    announce_compilation(str)
     compile_decision()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

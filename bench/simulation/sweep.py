@@ -12,10 +12,8 @@ otherwise than by one.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import signal
 import sys
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
@@ -34,6 +32,7 @@ import scipy.linalg  # noqa: F401
 from threadpoolctl import threadpool_limits
 
 from bench.base.errors import BenchError, ExitCode
+from bench.base.interrupt import end_with
 from drivers.base.compile_report import announce_compilation
 from drivers.base.machine_code import imported_sources
 
@@ -46,7 +45,6 @@ BATCH_TIME = 4.0
 """Target duration of a batch, s: long compared with handing it out, short compared with a sweep."""
 IN_FLIGHT = 2
 """Batches handed out for each worker, so that none waits for its next one."""
-_PR_SET_PDEATHSIG = 1
 _LOST_IN_A_ROW = 3
 """Losses of workers without a result in between after which a sweep gives up."""
 _SCHEMA = 2
@@ -379,10 +377,7 @@ _function: Callable[[Any], Any] | None = None
 
 
 def _begin(parent: int, study: Study[Any, Any]) -> None:
-    # Without it a pool's workers wait for ever after a signal has ended their parent.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
-        os._exit(1)
+    end_with(parent)  # else a pool's workers wait for ever after a signal has ended their parent
     if not current_process().name.endswith("-1"):  # all workers compile the same: one reports it
         announce_compilation(str)
     global _function  # noqa: PLW0603 - the only place where a pool's worker can keep its prepared function
