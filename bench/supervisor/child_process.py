@@ -511,7 +511,7 @@ class ManagedProcess:
 
     @property
     def starting(self) -> bool:
-        """Whether it has not worked yet; the first time it compiles."""
+        """Whether it has not worked yet."""
         return self._heartbeat.condition is Condition.STARTING
 
     def turn(self, now: float) -> None:

@@ -16,7 +16,10 @@ from drivers.base.compile_report import progress
 
 PLAIN = "NUMBA_DISABLE_JIT"
 """Variable of the environment that makes a process run plain Python."""
-IS_PLAIN = bool(int(os.environ.get(PLAIN) or 0))
+try:
+    IS_PLAIN = bool(int(os.environ.get(PLAIN) or 0))
+except ValueError:
+    IS_PLAIN = False  # as numba reads it
 """Whether this process does; it does not import numba for `compiled`, which takes 70 MB of it."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -34,7 +37,7 @@ def compiled(function: _Function) -> _Function:
 def compiled_inner(function: _Function) -> _Function:
     """Compile `function` as `compiled` does, for an inner loop: it counts no references to its arrays.
 
-    It must neither make nor return arrays, nor assign to slices; numba notices all but the second.
+    It must neither make nor return arrays, nor assign to slices; numba does not notice a returned one.
     """
     return _compiled(function, _nrt=False)
 
@@ -51,6 +54,8 @@ def _compiled(function: _Function, **options: bool) -> _Function:
 
     from drivers.base.kept_code import keep_code, share_versions
 
+    if numba.config.DISABLE_JIT:  # by numba's file of settings
+        return function
     progress.known += 1
     made = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     share_versions(made)

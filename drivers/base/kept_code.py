@@ -107,7 +107,7 @@ def compile_for(function: Any, *arguments: object) -> None:
 
 
 def share_versions(made: Any) -> None:
-    """Compile one version of a function for all integers: each constant argument would get a version."""
+    """Compile one version for all integers passed by compiled code: each constant would get one."""
     find = made.get_call_template
 
     def find_general(args: Any, keywords: Any) -> Any:
