@@ -137,7 +137,8 @@ def _grid(given: Sequence[str]) -> SizingGrid:
 def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
     """Print the table, and write the picture, the figures and a configuration for each point of the front."""
     from bench.config import load_configuration
-    from bench.design.sizing.search import candidate_text, draw_front, non_dominated
+    from bench.design.sizing.front import draw_front
+    from bench.design.sizing.search import candidate_text, non_dominated
 
     front = non_dominated(points)
     shipped = load_configuration(Path("shipped"))
