@@ -58,7 +58,7 @@ _MODULES = {"eclipse-zenoh": "zenoh", "python-can": "can", "rerun-sdk": "rerun"}
 EXTRAS = {
     "cad": "golfbench draw --format step",
     "cluster": "golfbench cluster, --cluster",
-    "design": "golfbench profile design, commission",
+    "design": "golfbench profile design, size, commission",
     "mcap": "golfbench export --format mcap",
     "mocap": "golfbench golfer with C3D",
     "notify": "notifications of campaigns",
@@ -283,16 +283,20 @@ def extra_probes() -> Iterator[Probe]:
 
 def extra_packages(extra: str, requirements: Sequence[Requirement]) -> ItemResult:
     """Look whether those of `requirements` that `extra` alone has are installed."""
-    versions, absent = [], []
+    versions, absent = list[str](), list[str]()
     for one in requirements:
         if one.marker and one.marker.evaluate({"extra": extra}) and not one.marker.evaluate({"extra": ""}):
             try:
-                versions.append(f"{one.name} {importlib.metadata.version(one.name)}")
+                version = importlib.metadata.version(one.name)
             except importlib.metadata.PackageNotFoundError:
-                absent.append(one.name)
-    if not absent:
-        return ok(", ".join(versions))
-    return missing(f"no {', '.join(absent)}", f'for {EXTRAS[extra]}: pip install "golfbench[{extra}]"')
+                absent.append(f"no {one.name}")
+                continue
+            fits = one.specifier.contains(version, prereleases=True)
+            (versions if fits else absent).append(f"{one.name} {version}")
+    action = f'for {EXTRAS[extra]}: pip install "golfbench[{extra}]"'
+    if absent or not versions:
+        return missing(", ".join(absent) or "not known to this installation", action)
+    return ok(", ".join(versions))
 
 
 def compiled_code() -> ItemResult:

@@ -102,6 +102,17 @@ def test_doctor_extras_equal_those_of_project() -> None:
     assert doctor.EXTRAS.keys() == extras
 
 
+def test_doctor_extra_unknown_to_old_installation_is_missing() -> None:
+    status, value, advice = doctor.extra_packages("mcap", [Requirement('mcap>=1; extra == "dev"')])
+    assert (status, value) == (CheckStatus.MISSING, "not known to this installation")
+    assert "golfbench[mcap]" in advice
+
+
+def test_doctor_extra_older_version_is_missing() -> None:
+    status, value, _ = doctor.extra_packages("cad", [Requirement('numpy>=99; extra == "cad"')])
+    assert (status, value) == (CheckStatus.MISSING, f"numpy {np.__version__}")
+
+
 def test_doctor_extra_states_absent_packages_and_commands() -> None:
     lines = ["numpy>=2", 'numpy>=2; extra == "cad"', 'no-such-distribution>=1; extra == "page"']
     requirements = [Requirement(line) for line in lines]
