@@ -6,7 +6,6 @@ processes that need it at one time, the first compiles it.
 
 from __future__ import annotations
 
-import fcntl
 import multiprocessing
 import os
 import subprocess
@@ -38,8 +37,8 @@ def compile_ahead() -> Iterator[bool]:
     """Compile the whole step: the decision in another process during the block, the rest before the block.
 
     The block gets whether this is done, at most once in a process: not where the machine code is on disk,
-    there is one processor only, or this is a worker of several. Where the other process fails or takes too
-    long, the first tick compiles the decision.
+    there is one processor only, this is a worker of several, or the system is not Linux. Where the other
+    process fails or takes too long, the first tick compiles the decision.
     """
     other = _other_process()
     if other is None or other.poll() is not None:
@@ -62,8 +61,9 @@ def compile_ahead() -> Iterator[bool]:
 @cache
 def _other_process() -> subprocess.Popen[bytes] | None:
     """Return the process that compiles the decision, started once; None where there is none."""
-    is_worker = multiprocessing.parent_process() is not None
-    if IS_PLAIN or is_worker or len(os.sched_getaffinity(0)) < 2 or is_kept(decide_tick):
+    if IS_PLAIN or sys.platform != "linux" or multiprocessing.parent_process() is not None:
+        return None
+    if len(os.sched_getaffinity(0)) < 2 or is_kept(decide_tick):
         return None
     quiet = subprocess.DEVNULL
     try:
@@ -87,6 +87,8 @@ def compile_rest() -> None:
 
 def compile_decision() -> None:
     """Compile the decision, unless it is on disk; other processes that need it wait for the first."""
+    import fcntl  # here, for this module is imported on systems without it too
+
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "decision.lock").open("w") as lock:
