@@ -102,7 +102,6 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchProcess]:
 @pytest.mark.live
 @pytest.mark.paced
 def test_running_process_maps_only_allowed_libraries(bench: BenchProcess) -> None:
-    assert not _libraries(bench.pid("supervisor")) & {"pandas", "pyarrow"}
     assert not _libraries(bench.pid("recorder")) & {"llvmlite", "numba", "pandas", "scipy", "zenoh"}
     assert not _libraries(bench.pid("publisher")) & {"llvmlite", "numba", "pandas", "scipy"}
     assert not _libraries(bench.pid("loop")) & {"pandas", "pyarrow", "zenoh"}
