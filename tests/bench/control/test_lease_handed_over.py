@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.lifecycle import Phase, Request, State
+from bench.base.lifecycle import Phase, Reaction, Request, State
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_memory import SharedRecord
 from tests.bench.control.operating import reach
-from tests.bench.control.puppet import Puppet
+from tests.bench.control.puppet import Puppet, entered
 
 
 class Led:
@@ -87,3 +87,12 @@ def test_lease_change_during_swing_completes_and_disarms(led: Led) -> None:
     assert puppet.bench is State.SWINGING
     led.run(puppet, 2000)
     assert (puppet.bench, puppet.phase) == (State.READY, Phase.STANDING)
+
+
+def test_lease_lost_during_homing_brakes_and_ends_without_energy() -> None:
+    puppet = entered(Phase.HOMING)
+    puppet.give(lease_held=False).tick()
+    assert (puppet.bench, puppet.reaction) == (State.HOMING, Reaction.BRAKE)
+    puppet.run(1600)
+    assert puppet.bench is State.SAFE
+    assert puppet.is_without_energy()
