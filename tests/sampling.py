@@ -1,4 +1,4 @@
-"""A sample of a grid of cases for the everyday tests; the whole grid runs in `make test-release`."""
+"""Samples of cases for the everyday tests; all of them run in `make test-release`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
 
 
 def release_except(
@@ -24,3 +25,22 @@ def release_except(
     if missing:
         raise ValueError(f"not among the cases: {sorted(map(str, missing))}")
     return marked
+
+
+Test = Callable[..., None]
+
+
+def examples(daily: int, release: int, **strategies: Any) -> Callable[[Test], Test]:
+    """Give a test `daily` random examples of the `strategies`, and `release` ones before a release."""
+    counts = [pytest.param(daily, id="daily"), pytest.param(release, id="release", marks=pytest.mark.release)]
+
+    def pair(test: Test) -> Test:
+        @pytest.mark.parametrize("count", counts)
+        def run(count: int) -> None:
+            settings(max_examples=count, deadline=None)(given(**strategies)(test))()
+
+        run.__name__, run.__qualname__, run.__doc__ = test.__name__, test.__qualname__, test.__doc__
+        run.__module__ = test.__module__
+        return run
+
+    return pair

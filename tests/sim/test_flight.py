@@ -17,6 +17,7 @@ from drivers.base import Launch
 from sim.ball import Air, Ball
 from sim.flight import STEP, Aerodynamics, Wind, _derivative, _settings, coefficients, fly, fly_many
 from sim.ground import Turf
+from tests.sampling import examples
 
 YARD = 0.9144
 MPH = 0.44704
@@ -135,8 +136,9 @@ def test_fly_smooth_model_converges_at_fourth_order() -> None:
     assert abs(carry(0.02) - exact) < 1e-4
 
 
-@settings(max_examples=60, deadline=None)
-@given(
+@examples(
+    60,
+    200,
     velocity=st.tuples(st.floats(-60, 80), st.floats(-50, 50), st.floats(-30, 30)),
     spin=st.floats(0, 1200),
     tilt=st.floats(-pi, pi),

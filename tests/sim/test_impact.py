@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -33,6 +33,7 @@ from sim.impact import (
     strike_point,
 )
 from sim.robot import Club
+from tests.sampling import examples
 from tests.sim.deliveries import delivery_from_angles
 
 MPH = 0.44704
@@ -67,8 +68,9 @@ def _unit(v: Any3) -> np.ndarray:
 # --- Collision --------------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
-@given(
+@examples(
+    60,
+    300,
     velocity=_vectors(60),
     spin=_vectors(80),
     normal=_vectors(1),
@@ -207,8 +209,14 @@ def test_strike_matches_published_rows(
     assert launch.speed / MPH / speed == pytest.approx(stiff[1], abs=0.001)
 
 
-@settings(max_examples=40, deadline=None)
-@given(loft=st.floats(0, 1), attack=st.floats(-0.1, 0.1), x=st.floats(-0.03, 0.03), y=st.floats(-0.02, 0.02))
+@examples(
+    40,
+    100,
+    loft=st.floats(0, 1),
+    attack=st.floats(-0.1, 0.1),
+    x=st.floats(-0.03, 0.03),
+    y=st.floats(-0.02, 0.02),
+)
 def test_strike_smash_factor_stays_below_ceiling(loft: float, attack: float, x: float, y: float) -> None:
     ceiling = 1.83 / (1 + BALL.mass / 0.2)
     launch = strike(delivery_from_angles(45, attack, 0, 0, loft, x, y), replace(DRIVER, restitution=0.83))
@@ -329,8 +337,9 @@ def test_face_axes_soled_club_give_loft_and_face_angle() -> None:
     assert np.cross(n, h) == pytest.approx(t)
 
 
-@settings(max_examples=40, deadline=None)
-@given(
+@examples(
+    40,
+    100,
     lean=st.floats(-0.6, 0.6),
     lie=st.floats(0.7, 1.3),
     loft=st.floats(0, 1),
@@ -373,8 +382,7 @@ def test_delivery_shaft_lean_ignores_whole_turns(turns: int) -> None:
     assert delivery.shaft_lean == pytest.approx(0.1)
 
 
-@settings(max_examples=40, deadline=None)
-@given(vx=st.floats(20, 60), vy=st.floats(-5, 5))
+@examples(40, 100, vx=st.floats(20, 60), vy=st.floats(-5, 5))
 def test_delivery_attack_angle_and_path_follow_swing_plane(vx: float, vy: float) -> None:
     d = delivery_from_plane((0, 0, DOWN), (vx, vy, 20), (0, 0), DRIVER, LIE)
     assert np.tan(d.path) == pytest.approx(-cos(LIE) * vy / vx)
@@ -387,8 +395,7 @@ def test_delivery_spin_loft_equals_dynamic_loft_less_attack_angle() -> None:
     assert degrees(d.spin_loft) == pytest.approx(13.7)
 
 
-@settings(max_examples=40, deadline=None)
-@given(lean=st.floats(-0.1, 0.1), error=st.floats(-0.02, 0.02), shift=st.floats(-0.03, 0.03))
+@examples(40, 100, lean=st.floats(-0.1, 0.1), error=st.floats(-0.02, 0.02), shift=st.floats(-0.03, 0.03))
 def test_strike_point_tee_shift_moves_towards_toe(lean: float, error: float, shift: float) -> None:
     square, moved = (
         impact_parameters(replace(DRIVER, lie=LIE, tee_shift=s), BALL, LIE) for s in (0.0, shift)
@@ -418,8 +425,7 @@ def test_strike_at_toe_starts_right_and_curves_back() -> None:
     assert off.speed < centred.speed
 
 
-@settings(max_examples=40, deadline=None)
-@given(lean=st.floats(-0.3, 0.3), error=st.floats(-0.03, 0.03))
+@examples(40, 100, lean=st.floats(-0.3, 0.3), error=st.floats(-0.03, 0.03))
 def test_strike_point_projects_in_plane_error(lean: float, error: float) -> None:
     parameters = impact_parameters(DRIVER, BALL, LIE)
     theta_t = DOWN + lean
@@ -466,8 +472,7 @@ PLANE_STATES = st.tuples(
 )
 
 
-@settings(max_examples=40, deadline=None)
-@given(state=PLANE_STATES)
+@examples(40, 100, state=PLANE_STATES)
 def test_impact_in_plane_matches_strike_in_golf_frame(state: tuple[float, ...]) -> None:
     lean, vx, vy, omega, ball_y = state
     parameters = impact_parameters(DRIVER, BALL, LIE)
@@ -476,8 +481,7 @@ def test_impact_in_plane_matches_strike_in_golf_frame(state: tuple[float, ...]) 
     assert strike(delivery, DRIVER, BALL) == pytest.approx(launch_from_motion(velocity, spin), abs=1e-7)
 
 
-@settings(max_examples=40, deadline=None)
-@given(state=PLANE_STATES)
+@examples(40, 100, state=PLANE_STATES)
 def test_impact_in_plane_club_impulse_is_opposite_and_takes_energy(state: tuple[float, ...]) -> None:
     lean, vx, vy, omega, ball_y = state
     parameters = impact_parameters(DRIVER, BALL, LIE)
@@ -510,8 +514,9 @@ def test_impact_in_plane_club_impulse_is_opposite_and_takes_energy(state: tuple[
 # --- Values at the edge -----------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
-@given(
+@examples(
+    40,
+    100,
     elevation=st.floats(-0.5, 1.3),
     azimuth=st.floats(-0.5, 0.5),
     spin=st.floats(1, 1000),

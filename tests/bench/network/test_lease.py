@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
@@ -159,5 +159,12 @@ class OneHolderAtATime(RuleBasedStateMachine):
             assert (lease.holder, lease.key, lease.expiry) == (self.holder, self.key, self.end)
 
 
-OneHolderAtATime.TestCase.settings = settings(max_examples=30)
+class LongOneHolderAtATime(OneHolderAtATime):
+    """The same more often, before a release."""
+
+
+few = settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+many = settings(few, max_examples=100)
+OneHolderAtATime.TestCase.settings, LongOneHolderAtATime.TestCase.settings = few, many
 TestOneHolderAtATime = OneHolderAtATime.TestCase
+TestLongOneHolderAtATime = pytest.mark.release(LongOneHolderAtATime.TestCase)

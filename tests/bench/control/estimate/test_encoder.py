@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.control.estimate.encoder import (
@@ -20,6 +19,7 @@ from bench.control.estimate.encoder import (
 )
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS
+from tests.sampling import examples
 
 PERIOD = 1e-3
 COUNTS = 2**16
@@ -68,8 +68,9 @@ class Channel:
         return self.record[0]
 
 
-@settings(max_examples=15, deadline=None)
-@given(start=st.tuples(*(st.floats(low, high) for low, high in TRAVEL)), seed=st.integers(0, 2**32 - 1))
+@examples(
+    15, 50, start=st.tuples(*(st.floats(low, high) for low, high in TRAVEL)), seed=st.integers(0, 2**32 - 1)
+)
 def test_decode_encoders_motion_in_travel_is_exact_to_half_count(
     start: tuple[float, float, float], seed: int
 ) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise, Q_discrete_white_noise
 from filterpy.kalman import KalmanFilter
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.base.lifecycle import Phase, Request
@@ -23,7 +22,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record
 from sim.plant import PlantParameters, build_plant
-from tests.sampling import release_except
+from tests.sampling import examples, release_except
 
 PERIOD = 1e-3
 COUNTS = 2**16
@@ -167,8 +166,9 @@ def test_estimate_measured_ticks_and_aged_samples_equals_filterpy(swing: Callabl
     assert_equal_to_filterpy(sampled(s.angle[keep]), age, valid, dt, in_window(s.time[keep]))
 
 
-@settings(max_examples=8, deadline=None)
-@given(
+@examples(
+    8,
+    30,
     silences=st.lists(st.tuples(st.integers(0, 249), st.integers(1, 80), st.integers(0, 2)), max_size=8),
     scattered=st.floats(0, 0.6),
     seed=st.integers(0, 2**32 - 1),
