@@ -134,7 +134,7 @@ def test_estimate_swing_with_drop_outs_and_impact_equals_filterpy(swing: Callabl
     assert_equal_to_filterpy(sampled(s.angle), age, valid, dt, in_window(s.time))
 
 
-@pytest.mark.release
+@pytest.mark.slow
 def test_estimate_simulated_swing_equals_filterpy() -> None:
     profile = load_profile(find_profile("default"))
     parameters = PlantParameters()
