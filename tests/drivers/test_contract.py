@@ -311,8 +311,8 @@ def test_write_returns_applied_command(opened: Driver, case: Case) -> None:
         ((1.5, -7.0, 1e300), (1.0, -1.0, 1.0)),
     ):
         expected = MOVING._replace(valve=applied)
-        assert opened.write(MOVING._replace(valve=asked)) == expected
-        assert case.in_force(opened) == expected
+        assert opened.write(MOVING._replace(valve=asked)) == expected, asked
+        assert case.in_force(opened) == expected, asked
 
 
 def test_write_non_finite_valve_applies_passive(opened: Driver, case: Case) -> None:
@@ -320,9 +320,11 @@ def test_write_non_finite_valve_applies_passive(opened: Driver, case: Case) -> N
     for valve, bad in product(range(3), (math.nan, math.inf, -math.inf)):
         openings = [0.2, 0.2, 0.2]
         openings[valve] = bad
-        assert opened.write(MOVING) == MOVING
-        assert opened.write(MOVING._replace(valve=(openings[0], openings[1], openings[2]))) == PASSIVE
-        assert case.in_force(opened) == PASSIVE
+        command = MOVING._replace(valve=(openings[0], openings[1], openings[2]))
+        assert opened.write(MOVING) == MOVING, openings
+        assert case.in_force(opened) == MOVING, openings
+        assert opened.write(command) == PASSIVE, openings
+        assert case.in_force(opened) == PASSIVE, openings
 
 
 def test_readings_have_types_and_pack_into_record(opened: Driver) -> None:
@@ -364,10 +366,10 @@ def test_read_first_time_of_minus_infinity_is_refused(opened: Driver) -> None:
 
 
 def test_read_time_not_increasing_is_refused(opened: Driver) -> None:
-    opened.read(1.0)
-    for bad in (math.nan, math.inf, 0.0):
+    for k, bad in enumerate((math.nan, math.inf, 0.0)):
+        opened.read(k + 1.0)
         with pytest.raises(DriverError, match=r"time"):
-            opened.read(bad)
+            pytest.fail(f"{bad} gives {opened.read(bad)}")
 
 
 @pytest.mark.parametrize("name", [name for name, case in DRIVERS.items() if not case.on_wall])
