@@ -57,7 +57,7 @@ def each_phase(test: Callable[..., None]) -> Callable[..., None]:
         for phase in Phase:
             try:
                 test(phase=phase, **given_values)
-            except AssertionError as error:
+            except Exception as error:
                 error.add_note(f"in phase {phase.name}")
                 raise
 
