@@ -116,13 +116,13 @@ DAY = (
 )
 
 
-def _loaded(folder: Path, *lines: str, port: int | None = None) -> tuple[list[int], set[str]]:
-    """Run command lines in one process; return their exit codes and the packages it has loaded."""
+def _loaded(folder: Path, *lines: str, port: int | None = None) -> list[tuple[int, set[str]]]:
+    """Run command lines in one process; return the exit code of each and what is loaded by then."""
     code = (
-        "import sys; import bench.commands.cli; codes = []\n"
-        "bench.commands.cli.leave = codes.append\n"
+        "import sys; import bench.commands.cli\n"
+        "bench.commands.cli.leave = lambda code: print('\\nLOADED', int(code), *sys.modules)\n"
         "for line in sys.argv[2:]: bench.commands.cli.main(['--config', sys.argv[1], *line.split()])\n"
-        "print('\\n', *codes); print(*sys.modules); from bench.base.interrupt import leave; leave(0)"
+        "from bench.base.interrupt import leave; leave(0)"
     )
     file = folder / "bench.toml"
     network = f'[network]\nendpoint = "tcp/127.0.0.1:{port or free_port()}"\n'
@@ -130,29 +130,33 @@ def _loaded(folder: Path, *lines: str, port: int | None = None) -> tuple[list[in
     command = [sys.executable, "-c", code, str(file), *lines]
     environment = os.environ | {"XDG_RUNTIME_DIR": str(folder)}
     printed = subprocess.check_output(command, env=environment, cwd=folder, text=True).splitlines()
-    return [int(n) for n in printed[-2].split()], {name.partition(".")[0] for name in printed[-1].split()}
+    ends = [line.split()[1:] for line in printed if line.startswith("LOADED ")]
+    return [(int(end), {name.partition(".")[0] for name in names}) for end, *names in ends]
 
 
 def test_operate_commands_load_no_model_packages(tmp_path: Path) -> None:
     """With a bench that answers everything and swings at once."""
     with running_plane(FakeDesk(), loopback_configuration(port := free_port())):
-        codes, loaded = _loaded(tmp_path, *DAY, port=port)
-    assert codes == [ExitCode.OK] * len(DAY)
-    assert "zenoh" in loaded
-    assert not loaded & NO_CLIENTS
+        ended = _loaded(tmp_path, *DAY, port=port)
+    assert len(ended) == len(DAY)
+    for line, (code, loaded) in zip(DAY, ended, strict=True):
+        assert (code, loaded & NO_CLIENTS) == (ExitCode.OK, set()), line
+        assert "zenoh" in loaded, line
 
 
 def test_campaign_commands_load_no_model_packages(tmp_path: Path) -> None:
-    codes, loaded = _loaded(tmp_path, "campaign list", "campaign stop nothing", "campaign watch")
-    assert codes[0] == ExitCode.OK
-    assert loaded >= {"sqlalchemy", "zenoh"}
-    assert not loaded & (NO_CLIENTS - {"pydantic", "sqlalchemy"})
+    lines = ("campaign list", "campaign stop nothing", "campaign watch")
+    ended = _loaded(tmp_path, *lines)
+    assert ended[0][0] == ExitCode.OK
+    assert ended[-1][1] >= {"sqlalchemy", "zenoh"}
+    for line, (_, loaded) in zip(lines, ended, strict=True):
+        assert not loaded & (NO_CLIENTS - {"pydantic", "sqlalchemy"}), line
 
 
 def test_simulation_free_commands_load_no_compiler(tmp_path: Path) -> None:
-    codes, loaded = _loaded(tmp_path, "profile list", "campaign air")
-    assert codes == [ExitCode.OK] * 2
-    assert not loaded & {"numba", "scipy", "matplotlib"}
+    lines = ("profile list", "campaign air")
+    for line, (code, loaded) in zip(lines, _loaded(tmp_path, *lines), strict=True):
+        assert (code, loaded & {"numba", "scipy", "matplotlib"}) == (ExitCode.OK, set()), line
 
 
 def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
