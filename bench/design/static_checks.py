@@ -264,7 +264,7 @@ def _range(plan: MachineSwing) -> Check:
 def _between_samples(position: Array, speed: Array, period: float) -> tuple[Array, Array]:
     """Return position and speed `_PARTS` times as often: a cushion may stop a rod within two samples.
 
-    Between two samples the position is the cubic through both with their speeds (Hermite); of finite samples.
+    Between two samples, which are finite, the position is the cubic through both with their speeds (Hermite).
     """
     part = np.arange((len(position) - 1) * _PARTS + 1)
     k = np.minimum(part // _PARTS, len(position) - 2)

@@ -1,7 +1,7 @@
 """Compile the decision of the control step, half of all compiled code, in another process.
 
-`python -m bench.loop.compile_ahead PARENT` is that process; PARENT finds its machine code on disk. Of several
-processes that need it at one time, the first compiles it.
+`python -m bench.loop.compile_ahead PARENT` is that process; PARENT finds its machine code on disk. The first
+of several processes that need it at one time compiles it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def compile_ahead() -> Iterator[bool]:
 
 @cache
 def _other_process() -> subprocess.Popen[bytes] | None:
-    """Return the process that compiles the decision, started once; None where there is none."""
+    """Return the process that compiles the decision, started once; None where this one compiles all."""
     if IS_PLAIN or sys.platform != "linux" or multiprocessing.parent_process() is not None:
         return None
     if len(os.sched_getaffinity(0)) < 2 or is_kept(decide_tick):

@@ -61,7 +61,7 @@ def test_compile_ahead_no_memory_for_process_compiles_nothing(monkeypatch: pytes
 
 
 @pytest.mark.usefixtures("fresh")
-def test_compile_ahead_starts_one_process_and_waits_until_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compile_ahead_starts_one_process_and_waits_for_end(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[subprocess.Popen[bytes]] = []
     start = subprocess.Popen
 
