@@ -56,8 +56,9 @@ HEAVY = frozenset(
 SUPERVISOR_LOADS = {"asyncio"}
 """By sqlalchemy."""
 
-MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 450 * MEBIBYTE
-"""Locked memory of the loop, and proportional memory of all processes, bytes."""
+MAX_LOCKED, MAX_BENCH = 210 * MEBIBYTE, 510 * MEBIBYTE
+"""Locked memory of the loop and memory of all processes, bytes, both proportional: pages that others map are
+divided among them, so a bench that runs alone has the largest values."""
 
 
 @pytest.mark.slow
