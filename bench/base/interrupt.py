@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import stat
@@ -19,14 +18,6 @@ HANGUP = tuple(number for number in signal.Signals if number.name == "SIGHUP")
 """Signal of a closed terminal or a lost remote login; empty on systems without it."""
 
 _ENDING = (signal.SIGTERM, *HANGUP)
-_PR_SET_PDEATHSIG = 1
-
-
-def end_with(parent: int) -> None:
-    """End this process with its parent, the process `parent`, however that ends; at once if it has ended."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
-        os._exit(1)
 
 
 class Terminated(BaseException):

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
-from bench.base.interrupt import end_with
+from bench.base.process import end_with, import_path
 from bench.control.step import decide_tick, estimate_tick, limit_tick
 from bench.control.step_records import new_control_state
 from bench.loop.compiled_tick import empty_parameters
@@ -69,7 +69,7 @@ def _other_process() -> subprocess.Popen[bytes] | None:
     try:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "bench.loop.compile_ahead", str(os.getpid())],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            env={**os.environ, "PYTHONPATH": import_path()},
             stdin=quiet,
             stdout=quiet,  # a pipe behind the parent's must not wait for this process
             stderr=quiet,

@@ -32,7 +32,7 @@ import scipy.linalg  # noqa: F401
 from threadpoolctl import threadpool_limits
 
 from bench.base.errors import BenchError, ExitCode
-from bench.base.interrupt import end_with
+from bench.base.process import end_with
 from drivers.base.compile_report import announce_compilation
 from drivers.base.machine_code import imported_sources
 

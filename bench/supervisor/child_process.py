@@ -29,6 +29,7 @@ import numpy as np
 from bench.base.errors import BenchError, ExitCode
 from bench.base.interrupt import HANGUP
 from bench.base.lifecycle import Cause
+from bench.base.process import import_path
 from bench.swing.correction_terms import MAX_WEIGHTS
 from drivers.base import DriverError
 from drivers.base.compile_report import announce_compilation, report_compilation
@@ -332,9 +333,7 @@ class Child:
         The plan is passed in a memory file: writing a large one to a pipe would block until the child reads.
         Signals meant for the parent are blocked in the child from its first instruction on.
         """
-        # The child gets this process' import path. Further BLAS threads disturb the timing. Arrow's own
-        # allocator keeps the memory of a record.
-        path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
+        # Further BLAS threads disturb the timing. Arrow's own allocator keeps the memory of a record.
         with open(os.memfd_create("plan"), "w+b", buffering=0) as stdin:
             stdin.write(pickle.dumps(plan))
             stdin.seek(0)
@@ -348,7 +347,7 @@ class Child:
                     pass_fds=pass_fds,
                     env={
                         **os.environ,
-                        "PYTHONPATH": path,
+                        "PYTHONPATH": import_path(),
                         "OPENBLAS_NUM_THREADS": "1",
                         "ARROW_DEFAULT_MEMORY_POOL": "system",
                         **({PLAIN: "1"} if plain else {}),
