@@ -12,7 +12,6 @@ from __future__ import annotations
 from time import monotonic_ns
 from typing import Any
 
-import numba
 import numpy as np
 from numba import carray
 
@@ -31,7 +30,7 @@ from bench.control.step_records import (
     ControlState,
 )
 from bench.records.telemetry.cycle_record import CYCLE
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import IS_PLAIN, compiled, new_record
 from drivers.base.native import (
     DECLINED,
     OPERATIONAL,
@@ -244,7 +243,6 @@ class CompiledTick:
         if not notes_truth:
             self._block[_NOTE_TRUTH] = _NOTHING
         self._address = self._block.ctypes.data
-        self._is_plain = bool(numba.config.DISABLE_JIT)
 
     def publish_by(self, call: NativeCall) -> None:
         """Publish by the native function `call` from now on."""
@@ -255,7 +253,7 @@ class CompiledTick:
 
         Return the stage that it has come to: the first that is Python's to do, or `end`.
         """
-        if self._is_plain:
+        if IS_PLAIN:
             return self._run_plain(time, stage)
         return _run(self._address, time, stage, end)
 

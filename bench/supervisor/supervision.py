@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from numba import carray
 
@@ -20,7 +19,7 @@ from bench.supervisor.child_process import (
 )
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
-from drivers.base.compiled import compiled, new_record, numbers
+from drivers.base.compiled import IS_PLAIN, compiled, new_record, numbers
 from drivers.base.compiled_slots import fetch_record, slots_at
 from drivers.base.native import pointer
 from drivers.base.shared_memory import HEAD_WORD, READ, SharedRecord
@@ -92,7 +91,6 @@ class Orders:
         held = self._shared.slots.block, self._values, self._spare, self._memory
         self._block = np.array([*(array.ctypes.data for array in held), 0], np.int64)
         self._address = self._block.ctypes.data
-        self._is_plain = bool(numba.config.DISABLE_JIT)
 
     @property
     def shutdown(self) -> bool:
@@ -112,7 +110,7 @@ class Orders:
         version, last, silence, was_alive = self._seen
         if self._words[HEAD_WORD] == version and (time - last < silence) == was_alive:
             return
-        if self._is_plain:
+        if IS_PLAIN:
             _take(self._values, self._memory, control, time, self._shared.read(self._values))
         else:
             if control is not self._control:

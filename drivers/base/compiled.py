@@ -54,8 +54,8 @@ def _compiled(function: _Function, **options: bool) -> _Function:
 
     from drivers.base.kept_code import keep_code, share_versions
 
-    if numba.config.DISABLE_JIT:  # by numba's file of settings
-        return function
+    if numba.config.DISABLE_JIT:
+        raise RuntimeError(f"compilation is off by numba's file of settings: set {PLAIN}=1 in its place")
     progress.known += 1
     made = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     share_versions(made)

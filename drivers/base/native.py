@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import carray, types
@@ -22,7 +21,7 @@ from numba.core import sigutils
 from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
-from drivers.base.compiled import compiled
+from drivers.base.compiled import IS_PLAIN, compiled
 from drivers.base.kept_code import keep_code
 
 DECLINED = 0
@@ -70,7 +69,7 @@ class NativeFunction:
     @property
     def address(self) -> int:
         """Address of the C function; 0 where nothing is compiled."""
-        if numba.config.DISABLE_JIT:
+        if IS_PLAIN:
             return 0
         if self._made is None:
             # What `numba.cfunc` does, with the cache of `compiled`: its own is that of the last module.

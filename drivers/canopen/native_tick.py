@@ -17,13 +17,12 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-import numba
 import numpy as np
 from numba import carray, types
 
 from drivers.base import ABSENT, INVALID
 from drivers.base.clocks import MAX_READ
-from drivers.base.compiled import compiled, fields, new_record, numbers
+from drivers.base.compiled import IS_PLAIN, compiled, fields, new_record, numbers
 from drivers.base.native import (
     CLOCK_REALTIME,
     DECLINED,
@@ -549,7 +548,7 @@ class NativeState:
 
     def calls(self) -> NativeCalls:
         """Return the native functions; none on a system with another layout of kernel structures."""
-        if not IS_SUPPORTED or numba.config.DISABLE_JIT:
+        if not IS_SUPPORTED or IS_PLAIN:
             return NativeCalls()
         self.is_wanted = True
         block = self._state.ctypes.data

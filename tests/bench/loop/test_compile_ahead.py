@@ -20,10 +20,9 @@ from bench.loop import compile_ahead as ahead
 from bench.loop.compiled_tick import empty_parameters
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from drivers.base.compiled import IS_PLAIN
 from drivers.base.kept_code import is_kept
 from sim.plant import PlantParameters
-
-NUMBA_DISABLED = bool(numba.config.DISABLE_JIT)
 
 
 def test_empty_parameters_have_types_of_controller() -> None:
@@ -78,7 +77,7 @@ def test_compile_ahead_starts_one_process_and_waits_for_end(monkeypatch: pytest.
             answers.append(compiling)
     assert answers == [True, False]
     assert [process.returncode for process in started] == [0]
-    assert NUMBA_DISABLED or is_kept(decide_tick)
+    assert IS_PLAIN or is_kept(decide_tick)
 
 
 @pytest.mark.usefixtures("fresh")

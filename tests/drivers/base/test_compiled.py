@@ -211,3 +211,15 @@ def test_compile_progress_below_1_s_reports_nothing(heard: list[str]) -> None:
     progress.note()
     progress.note("a function")
     assert heard == []
+
+
+def test_compiled_switched_off_by_settings_file_of_numba_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("yaml")  # else numba reads no such file
+    (tmp_path / ".numba_config.yaml").write_text("disable_jit: 1\n")
+    run = [sys.executable, "-c", "from drivers.base.compiled import compiled\ncompiled(abs)"]
+    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(TOP)}
+    ended = subprocess.run(
+        run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert ended.returncode == 1
+    assert "set NUMBA_DISABLE_JIT=1" in ended.stderr
