@@ -32,10 +32,9 @@ Test = Callable[..., None]
 
 def examples(daily: int, release: int, **strategies: Any) -> Callable[[Test], Test]:
     """Give a test `daily` random examples of the `strategies`, and `release` ones before a release."""
-    counts = [pytest.param(daily, id="daily"), pytest.param(release, id="release", marks=pytest.mark.release)]
 
     def pair(test: Test) -> Test:
-        @pytest.mark.parametrize("count", counts)
+        @pytest.mark.parametrize("count", release_except({daily}, [daily, release]))
         def run(count: int) -> None:
             settings(max_examples=count, deadline=None)(given(**strategies)(test))()
 
