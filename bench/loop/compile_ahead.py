@@ -1,7 +1,7 @@
 """Compile the decision of the control step, half of all compiled code, in another process.
 
-`python -m bench.loop.compile_ahead PARENT` is that process; PARENT finds its machine code on disk. The first
-of several processes that need it at one time compiles it.
+`python -m bench.loop.compile_ahead PARENT` is that process; PARENT finds its machine code on disk. Where
+several processes need it at one time, the first compiles it.
 """
 
 from __future__ import annotations
