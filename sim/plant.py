@@ -55,7 +55,7 @@ class Encoders:
     zero_count: tuple[ZeroCount, ZeroCount, ZeroCount] = (0.0, 0.0, 0.0)
     """Count at joint angle zero, found by calibration. An incremental encoder's index is at count 0."""
     sign: tuple[Sign, Sign, Sign] = (1, 1, 1)
-    """Sign of the count over the angle: 1 or -1."""
+    """Counting direction relative to the joint angle: 1 or -1."""
     latency: Annotated[float, Range(0.0, 0.005, "s")] = 0.0001
     """Delay from shaft position to reading, s."""
     jitter: Annotated[float, Range(0.0, 0.001, "s")] = 0.0

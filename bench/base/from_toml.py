@@ -70,7 +70,7 @@ def read_toml(path: Path, expected: str, action: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str, location: str) -> dict[str, Any]:
-    """Return the tables of TOML.
+    """Return the tables that the TOML `text` contains.
 
     Raises:
         BenchError: `text` is not TOML.
@@ -202,8 +202,8 @@ def format_value(value: Any) -> str:
 class Builder:
     """Builds values from one tree and collects validation errors in `faults`.
 
-    Fields whose dotted path is in `left_out` are no keys and keep their defaults; those with `optional` in
-    their metadata may be left out.
+    Fields whose dotted path is in `left_out` are not read and keep their defaults; those with `optional` in
+    their metadata may be missing.
     """
 
     tree: Tree

@@ -542,8 +542,8 @@ def accepted_table() -> Table:
 
 
 READINGS_VALID, READINGS_LOST, EMERGENCY, ACTUATOR_FAULT, WRIST_FAULT, CHAMBER_SUSPECT = 0, 1, 2, 3, 4, 5
-"""Columns of the stopping table: readings trusted, readings lost, emergency stop with readings trusted, a
-shoulder or arm that does not obey, a wrist that does not, one chamber alone that does not fit."""
+"""Columns of the stopping table: readings valid, readings lost, emergency stop with valid readings, actuator
+fault of shoulder or arm, actuator fault of the wrist, pressure of one chamber alone that is suspect."""
 
 _R = Reaction
 _STANDING = (_R.VENT,) * 6
@@ -567,13 +567,14 @@ STOP_REACTIONS: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reacti
 """The stopping table; columns as above.
 
 On loss of communication the device itself becomes PASSIVE. In the impact window and the follow-through
-COMPLETE *is* the brake as planned. An actuator that does not obey may be a stuck valve, and only taking its
-air away helps, so the supply is cut (PASSIVE). Departs from one column 'readings trusted', shown by
-`golfbench profile check`: a shoulder valve stuck open, noticed within milliseconds by the model-based check,
-ends within the ratings when the supply is cut at once, and at up to 384 % of them when the others brake with
-air on. The wrist is the exception: while it is fast its own air must brake it, and without it its stop takes
-up to 168 %. A chamber that alone does not fit is a sensor rather than a spool, which moves air in both: past
-the no-return instant its air is worth more than its cut."""
+COMPLETE *is* the brake as planned. An actuator that does not follow its command may have a stuck valve, which
+only a supply cut (PASSIVE) makes harmless. `golfbench profile check` shows why such a fault has a column
+apart from valid readings. With a shoulder valve stuck open, detected within milliseconds by model-based fault
+detection, a supply cut at once keeps the loads within the ratings. If the other joints brake with the supply
+on, the loads reach 384 % of them. The wrist is the exception: while it is fast, it must be braked with the
+supply on; otherwise its stop takes up to 168 %. A suspect pressure of one chamber alone indicates a faulty
+sensor, since a faulty spool changes both chambers: past the no-return instant a brake with the supply on is
+then safer than a supply cut."""
 
 
 def reaction_table() -> Table:

@@ -223,7 +223,7 @@ def add_aerodynamics(
     location = f"calibrate aerodynamics {values.ball}"
     for name, found in (("--source", source), ("--by", by)):
         if not found.strip():
-            raise BenchError(f"{location}: {name}", "missing", "a text", f"State the text with {name}.")
+            raise BenchError(f"{location}: {name}", "missing", "a text", f"Add {name} TEXT to the command.")
     source, by = source.strip(), by.strip()
     row = {
         "bench": bench,

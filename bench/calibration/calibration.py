@@ -175,7 +175,7 @@ class SeenInputs:
     findings: tuple[str, ...] = field(default=(), metadata={"optional": True})
     """Faults found; arming is refused until a check finds none."""
     gauge: Annotated[float, Range(-2e6, 2e6, "Pa")] = field(default=0.0, metadata={"optional": True})
-    """Largest deviation of the supply's sensor from the gauge."""
+    """Max deviation of the supply sensor from the gauge (Pa)."""
 
 
 Values = EncoderZeros | BallPosition | ClubInMount | ValveCentres | SeenInputs
@@ -406,7 +406,7 @@ class Calibration:
             fact = f"is of {entry.date:%Y-%m-%d %H:%M} UTC, later than this machine's clock"
             expected, action = (
                 "a date before now",
-                f"set the clock; if it is right, golfbench calibrate {entry.kind}",
+                f"set the clock; if it is right, run golfbench calibrate {entry.kind}",
             )
             found.append(CalibrationProblem(Block.CALIBRATION_AHEAD, entry.name, fact, expected, action))
         found += [entry.problem for entry in self.unreadable]

@@ -191,7 +191,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             yield f"swing.{key}", format_value(name), known, f"Choose one, or add [{key}s.{name}]."
     drivers = sorted({entry.name for entry in entry_points(group="golfbench.drivers")})
     if c.driver.name not in drivers:
-        action = "Choose one, or install the plug-in that brings it."
+        action = "Choose one, or install the plug-in that provides it."
         yield "driver.name", format_value(c.driver.name), f"one of {', '.join(drivers)}", action
     if c.driver.name == "daq" and c.homing.method != "index":
         action = "The card's counters do not know the angle until the index has passed."
@@ -364,7 +364,8 @@ def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     reach = robot.l12 + robot.l23 + robot.club.length_to_face
     distance = hypot(site.ball_x, site.ball_y)
     if distance > reach:
-        found, wanted = f"{distance:.3f} m from the shoulder axis", f"at most {reach:.3f} m, arm and club"
+        found = f"{distance:.3f} m from the shoulder axis"
+        wanted = f"at most {reach:.3f} m, the reach of arm and club"
         yield "plant.site.ball_y", found, wanted, "Move the ball nearer, or take a longer club."
     if site.divot > 0.0 and site.surface == "none":
         found, wanted = f"{short(site.divot)} m into a bare floor", '0, or plant.site.surface "turf" or "mat"'
@@ -433,7 +434,7 @@ def unheard_phases(configuration: Configuration) -> list[BenchError]:
             f"{location}: faults.{name}.phase",
             format_value(fault.phase),
             '"any": a plant with a separate clock does not know the phase',
-            'Name a time, or a joint and an angle; or run with driver "sim".',
+            'Set a time, or a joint and an angle, instead of the phase; or use driver "sim".',
         )
         for name, fault in configuration.faults.items()
         if fault.phase != "any"

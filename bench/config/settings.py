@@ -215,7 +215,7 @@ class Configuration:
     def for_profile(self, profile: Profile, file: Path) -> Configuration:
         """Return the configuration with the limits of the model-based check for `profile`, read from `file`.
 
-        The log reports stale limits, which are not used.
+        Outdated limits are ignored; the log reports them.
 
         Raises:
             BenchError: a file of limits is invalid.

@@ -70,7 +70,7 @@ class EstimatorSettings:
 
 @dataclass(frozen=True)
 class PidSettings:
-    """One PID per actuator on its joint angle; output is the valve opening."""
+    """One PID per actuator on its joint angle; the output is a valve command."""
 
     proportional: NotNegativeTriple = (2.0, 0.65, 0.75)
     """Opening per rad."""

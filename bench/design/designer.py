@@ -1,10 +1,11 @@
 """The swing designer: optimal control on a model of arms and air, then refinement on the plant itself.
 
-1. The chambers at the address are planned, and the controller takes the nominal plant from there to the top,
-   so that the downswing begins where it truly will.
+1. The chamber pressures at the address are planned. Simulating the nominal plant in closed loop from there
+   to the top gives the initial state of the downswing.
 2. `optimal_control` plans the downswing by direct collocation within the machine's limits.
-3. `refine` corrects its openings on the plant until the head passes the ball as planned. The cushions' loads
-   (ball struck, missed, or bench silent) correct the energies that the plan may bring them; repeat from 2.
+3. `refine` corrects its openings on the plant until the head passes the ball as planned. The absorber loads
+   (ball struck, missed, or loss of communication) correct the energies that the plan may bring them; repeat
+   from 2.
 4. `with_follow_through` makes references and feed-forward for the same downswing in closed loop, and the
    braking law finds the follow-through; `blind_brake` finds the patterns to stop it without encoders.
 5. `validate` must find the profile possible on this machine, as `golfbench check` does.
@@ -462,7 +463,7 @@ def design_downswing(
 
 
 def _said(status: str) -> str:
-    """Return the `status` of a plan as words."""
+    """Return the `status` of a plan as text."""
     return status.lower().replace("_", " ")
 
 

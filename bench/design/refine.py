@@ -1,8 +1,8 @@
 """A downswing on the plant itself: trials of its openings, their refinement, the backswing's feed-forward.
 
-A trial plays valve openings to the ball and past it, on the plant with its air, stops, valves, friction and
-impact, which needs no second model of the robot. It gives the arrival of the head at the ball and the
-cushions' loads: ball struck, ball missed, and loss of communication on the way.
+A trial applies valve commands until after the ball, on the plant with pneumatics, end stops, valves, friction
+and impact. No second model of the robot is needed. It gives the arrival of the head at the ball and the
+absorber loads: ball struck, ball missed, and loss of communication before the ball.
 
 Refinement of a planned downswing: least squares on the arrival at the ball. The collocation's model rounds
 off friction, edges and stops. Played on the plant, its openings bring the head to the ball a little early and

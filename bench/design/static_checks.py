@@ -47,7 +47,7 @@ EXCESS_TIME = 0.005
 """Force may exceed the air's bound by this share of the actuator's max force, and by more for this long (s):
 the tables are rounded, and differentiated here."""
 _SUBSTEPS = 4
-"""Steps between two samples in which a chamber fills and empties."""
+"""Integration steps of the chamber pressures between two samples."""
 _PARTS = 10
 """Parts of the time between two samples where cushions are checked."""
 

@@ -30,7 +30,7 @@ _LEAVING = 3.0
 _MAX_VENT_TIME = 20.0
 """Time at rest after which access and arming are given up, s."""
 _STILL, _STILL_FOR = 0.02, 1.0
-"""Joint speed below which a joint rests, rad/s, and the time for which it must, s."""
+"""Max joint speed at rest (rad/s), and the time it must not be exceeded (s)."""
 _EMPTY, _MAX_CREEP_TIME = 0.05e5, 600.0
 """Pressure over the atmosphere's at which a chamber carries less than friction holds, Pa, and the time after
 which a stopped robot is not waited for, s: on trapped air that leaks away a joint slips every few seconds."""
@@ -228,7 +228,7 @@ class Watch:
         self._inside, self._left_at = None, self.ticks
 
     def _done(self, request: int, left: Collection[Request]) -> bool:
-        """Return whether the robot is still and nothing more will come; `left` are requests to be put."""
+        """Return whether the robot rests and no event is pending; `left` are the requests not yet sent."""
         if self.ticks - self.rest_tick < round(_STILL_FOR / self.period):
             return False
         if self.state in (State.READY, State.SAFE):

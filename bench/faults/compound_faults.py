@@ -1,4 +1,4 @@
-"""Breakages that do not come alone: during a stop, from the start, one behind another, around access."""
+"""Compound faults: during a stop, from the start, one after another, around access."""
 
 from __future__ import annotations
 

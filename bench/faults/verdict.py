@@ -156,7 +156,8 @@ def _own_cause(breakage: Breakage) -> Cause:
 def _detection(run: WatchedRun, healthy: WatchedRun, own: Cause, after: int) -> tuple[str, int, str, int]:
     """Return what detected the fault and at which tick, and the reaction and its tick; "" and -1: none.
 
-    Latching `own` is no detection. Ticks count from the fault, which came `after` ticks into the run.
+    A latched `own`, caused by the case, is not a detection. Ticks count from the fault, `after` ticks into
+    the run.
     """
     cycles = run.cycles
     ran = cycles["tick"] > 0
@@ -230,7 +231,7 @@ def _change(run: WatchedRun, healthy: WatchedRun) -> str:
         speed, wanted = hypot(a[3], a[4]), hypot(b[3], b[4])
         if abs(speed - wanted) > _MATTERS["speed"] * wanted:
             return f"club speed at the ball {speed:.1f} instead of {wanted:.1f} m/s"
-        # Across the club's way: along it the contact is found anyhow.
+        # Offset across the club's path; along the path, contact occurs anyway.
         off = abs((a[0] - b[0]) * -b[4] + (a[1] - b[1]) * b[3]) / wanted
         if off > _MATTERS["strike"]:
             return f"struck {1e3 * off:.0f} mm off"

@@ -70,7 +70,7 @@ class MotionDeviation:
     error: tuple[float, float, float, float]
     """Root mean square of shoulder, arm, wrist (rad) and head (m), NaN where not measured."""
     share: tuple[float, float, float, float]
-    """The same as a fraction of the reference's ranges."""
+    """RMS errors as fractions of the reference's ranges."""
     time: Array
     """Times (n,) of the reference's downswing for which `other` has data (s)."""
     beside: Array
@@ -210,7 +210,7 @@ def require_club(golfer: GolferSwing) -> None:
 
 
 def with_club_held(plant: PlantParameters, golfer: GolferSwing) -> GolferSwing:
-    """Return `golfer` with the angles, from the top on, at which the robot of `plant` holds its club alike.
+    """Return `golfer` with angles, from the top on, at which the robot of `plant` holds the club as measured.
 
     The face is where the measured head is, as seen from the ball, and the shafts are parallel.
 

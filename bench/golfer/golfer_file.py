@@ -41,7 +41,7 @@ class ImportOptions:
     impact: float | None = None
     """Impact (s, time of the file)."""
     cutoff: tuple[float, float] = (15.0, 50.0)
-    """Cut-off of body and head (Hz); hands are filtered at 5/3 of the body's."""
+    """Low-pass cut-offs for body and club (Hz); that for the hands is 5/3 of the body's."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Plots of measured swings: angles, speeds, events and the swing plane; a swing against another."""
+"""Plots of measured swings: angles, speeds, events and swing plane; comparison of two swings."""
 
 from __future__ import annotations
 

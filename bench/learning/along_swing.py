@@ -43,7 +43,7 @@ class LoopMargins(NamedTuple):
 
     loops: tuple[JointLoop, ...]
     damping_ratio: dict[str, float]
-    """Min damping ratio of the closed loop's modes, by instant; negative where one grows."""
+    """Min damping ratio of the closed loop's modes, by instant; negative if a mode grows."""
 
 
 def operating_points(bench: Bench) -> list[OperatingPoint]:

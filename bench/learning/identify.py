@@ -61,7 +61,7 @@ _SMOOTHED = 41
 _ANGLE, _OPENING, _PRESSURE = 0.003, 0.03, 5e3
 """Errors of equal weight (rad, opening, Pa): the scatter of repeated swings."""
 _PRIOR = 0.4
-"""Standard deviation of the parameters before anything was recorded: wear makes 1.4 times the friction."""
+"""Prior standard deviation of the factors on the parameters: wear multiplies friction by 1.4."""
 _MAX_DECREASE, _MAX_INCREASE = 0.5, 1.0
 _SUPPLY_START = 1.0 - 0.9 * _MAX_DECREASE, 1.0 + 0.9 * _MAX_INCREASE
 _STEP = 0.05

@@ -381,8 +381,8 @@ class LearningProblem(NamedTuple):
 def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
     """Return the response of `bench`'s model; delivery and path that the profile plans are the target.
 
-    Those of the model's swing are not. Without planned chamber pressures a series begins with other pressures
-    than the simulated iterations, and delivers up to ten tolerances off the plan.
+    The simulated swing is not the target: without planned chamber pressures a series starts with other
+    pressures than the simulated iterations, and its delivery is up to ten tolerances off the plan.
 
     Raises:
         BenchError: the profile lacks its planned delivery; the modelled swing is stopped or misses the ball.

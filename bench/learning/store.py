@@ -177,9 +177,9 @@ def newest_that_holds(
 def drifted(scatter: Sequence[float], errors: Sequence[Sequence[float]]) -> bool:
     """Return whether a block's shots have drifted from the learned delivery, so that it must be refreshed.
 
-    `errors` (n, k) are the shots' figures off the target, `scatter` (k,) their standard deviation when it was
-    learned, both in tolerances. It has when the mean of a figure is off by more than one tolerance and by
-    more than three standard errors: fewer shots ask for more.
+    `errors` (n, k) are the shots' deviations from the target, `scatter` (k,) their standard deviation when it
+    was learned, both in tolerances. They have drifted if a mean deviation exceeds one tolerance and three
+    standard errors, so the limit is higher with fewer shots.
     """
     values = np.asarray(errors, dtype=float)
     if not len(values):

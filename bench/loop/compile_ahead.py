@@ -79,7 +79,7 @@ def _other_process() -> subprocess.Popen[bytes] | None:
 
 
 def compile_rest() -> None:
-    """Compile estimation and limits of the step."""
+    """Compile the estimation and the limits of the control step."""
     state, parameters, readings = new_control_state(), empty_parameters(), new_record(READINGS)
     compile_for(estimate_tick, state, parameters, readings, 0.0)
     compile_for(limit_tick, state, parameters, readings, new_record(COMMAND), new_record(CYCLE))

@@ -76,7 +76,7 @@ _BLOCK = _CLOCK + 2
 
 
 def empty_parameters() -> ControlParameters:
-    """Return parameters of the types that a tick takes, without contents: for compilation."""
+    """Return empty parameters of the types that a tick takes, for compilation."""
     kinds = _TYPES[len(ControlState._fields) :][: len(ControlParameters._fields)]
     made = ControlParameters(*(new_record(kind) if kind.names else np.zeros((1, 3), kind) for kind in kinds))
     return made._replace(phase=np.zeros(1, np.uint8))
@@ -124,9 +124,9 @@ def _note_applied(command: Any, applied: Any, cycle: Any) -> None:
 
 @compiled
 def _run(address: int, time: float, stage: int, end: int) -> int:
-    """Run the tick at `time` (s) from `stage` to before `end`; return the stage that is Python's, or `end`.
+    """Run the tick at `time` (s) from `stage` to before `end`; return the stage left to Python, or `end`.
 
-    `address` is that of the block.
+    `address` is the memory address of the block, which holds the addresses of arrays and native functions.
     """
     a = carray(pointer(address), _BLOCK, np.int64)
     marks, clock = carray(pointer(a[_MARKS]), 7, np.int64), address + 8 * _CLOCK

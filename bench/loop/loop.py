@@ -61,7 +61,7 @@ class Cycle:
         note_truth: Publish | None = None,
         state: State = State.READY,
     ) -> None:
-        """`name` is the driver's, for messages; `note_truth` fills the fields that only a plant knows."""
+        """`name` is the driver's, for messages; `note_truth` records the true state of a simulated plant."""
         self.driver, self.name = driver, name
         self.marks = np.zeros(7, np.int64)
         self._marks = numbers(self.marks)

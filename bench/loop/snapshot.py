@@ -58,7 +58,7 @@ def read_snapshot(metadata: Mapping[str, Any], location: str) -> np.ndarray[Any,
     """Return the snapshot (one-element array of SNAPSHOT) in a record's `metadata`.
 
     Raises:
-        BenchError: it is missing or damaged, or this program's controller has another memory; `location` is
+        BenchError: it is missing or damaged, or from a controller with other state variables; `location` is
             the record's path.
     """
     entry = metadata.get("snapshot")

@@ -33,13 +33,13 @@ class CommandAnswer(NamedTuple):
     state: Annotated[str, State]
     """State after the answer."""
     refusal: Annotated[str, Refusal] = Refusal.NONE.name
-    """Why it was refused."""
+    """Code of the refusal."""
     cause: Annotated[str, Cause] = Cause.NONE.name
-    """Why the robot was stopped or disarmed before."""
+    """Cause of the previous stop or disarming."""
     reason: str = ""
-    """Why it was refused, for people; empty when accepted."""
+    """Reason of the refusal, human-readable; empty when accepted."""
     action: str = ""
-    """Action after the refusal, for people."""
+    """Action after the refusal, human-readable."""
     note: str = ""
     """Further information for the operator."""
     content: Mapping[str, Any] = {}

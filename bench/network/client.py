@@ -69,7 +69,7 @@ LATCHED = frozenset(state.name for state in status_words.LATCHED)
 _MOVING = frozenset(state.name for state in status_words.MOVING)
 
 _COMMANDS = {Verb.SECURE: "access --end"}
-"""Commands that have another name than their verb."""
+"""Commands whose name differs from their verb."""
 
 _PASSING_STATES = {Verb.HOME: ("RECOVERING",), Verb.ARM: ("HOMING", "RECOVERING")}
 """States that refuse a verb and end automatically in one that accepts it. None for a swing: two requests must
@@ -311,7 +311,7 @@ class BenchClient:
         timeout: float,
         watch: Watch | None,
     ) -> BenchStatus:
-        """Wait until a status has `reached` the goal; refuse one that is not `on_the_way` to it."""
+        """Wait until `reached` accepts the status; refuse a status that `on_the_way` rejects."""
         deadline = time.monotonic() + timeout
         status = self.status()
         with closing(self.states(min(0.5, timeout))) as states:

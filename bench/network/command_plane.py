@@ -333,7 +333,7 @@ class CommandPlane:
             answer = self._obey(command)
         except LeaseRefused as error:
             answer = self._answer_of(refused("", error.refusal, *error.words))
-        except Exception as error:  # the desk may fail in any way; who asked gets an answer all the same
+        except Exception as error:  # the client gets an answer to any error of the service
             answer = self._failed(error)
         self._answer(query, verb, answer)
 

@@ -30,7 +30,7 @@ _LOOK = 1.0
 _TRIES = 4
 """Max number of times that a batch is handed out; each time dask also retries it automatically."""
 _ONE_AT_A_TIME = Lock()
-"""Prepared studies are not made for two threads of a worker."""
+"""Lock that keeps two threads of a worker from preparing studies at once."""
 
 
 class SharedStudy:

@@ -1,7 +1,7 @@
-"""Control step and plant in one compiled loop: whole swings in milliseconds, bit for bit repeatable.
+"""Control step and plant in one compiled loop: complete swings in milliseconds, bit-identical when repeated.
 
 The order of a tick is that of the real cycle (`bench.loop.loop`): sense, decide, apply. A test shows that
-both give bit-equal records, with faults (`sim.faults`) too.
+both give bit-identical records, also with faults (`sim.faults`).
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class Lockstep:
             self.faults.received[:] = self.command
 
     def copy(self) -> Self:
-        """Return an independent bench in the same state, without faults; it notes into the same `largest`."""
+        """Return an independent bench in the same state, without faults; both update the same `largest`."""
         other = object.__new__(type(self))
         other.plant, other.parameters, other.tick, other.faults = self.plant, self.parameters, self.tick, None
         other.largest = self.largest

@@ -124,7 +124,7 @@ def replay_cycles(
 
 
 def replay_start(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> ReplayStart:
-    """Return where a replay of `cycles` with their record's `metadata` begins; `location` names it.
+    """Return the start of a replay of `cycles` with their record's `metadata`; errors report `location`.
 
     Raises:
         BenchError: the record has no snapshot, one of another controller, or lost cycles.

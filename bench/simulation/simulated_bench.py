@@ -389,7 +389,7 @@ class Bench(NamedTuple):
         return cls(c.plant, profile, c.control, c.envelope, c.estimator)
 
     def controller(self) -> ControlParameters:
-        """Return the records that the control step takes."""
+        """Return the parameter records of the control step."""
         made = build_controller(self.model, self.profile, self.control, self.envelope, self.estimator)
         return self.with_its_limits(made)
 
@@ -451,8 +451,8 @@ class Series:
         """Rest at the address, tee a ball up, swing `profile`, and come back to the address.
 
         With `parameters` another controller makes the swing itself, but not what precedes and follows it.
-        After a stop the robot is reset and armed again, as a person would; so it is after a stop at the
-        address, where friction may let a joint slip, and the swing is then tried again.
+        After a stop the robot is reset and armed again, as an operator does. After a stop at the address,
+        where a joint may slip, the swing is also repeated.
 
         Raises:
             ReturnFailed: the robot does not come back to its address.

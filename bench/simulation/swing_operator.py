@@ -1,8 +1,8 @@
-"""Operates a bench as a person does: arms it, waits for its air, swings, brings it to rest.
+"""Operates a bench as a person does: arms it, waits for pressure, swings, brings it to rest.
 
-The bench is the cycle around the robot itself, or a simulated one whose plant, loads and tee are at hand:
-`simulate`, the series that learning and tuning swing, `profile check`, the fault matrix and the designer's
-rehearsals run on `LockstepEngine`; `bench.simulation.safety` judges the end of a run.
+The bench is the control loop of a robot, or a simulation whose plant, loads and tee are accessible. On the
+simulation (`LockstepEngine`) run `simulate`, the series of learning and tuning, `profile check`, the fault
+matrix and the simulated iterations of the designer; `bench.simulation.safety` assesses the end of a run.
 """
 
 from __future__ import annotations

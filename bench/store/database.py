@@ -1,6 +1,6 @@
 """One database per bench: SQLite in WAL mode below `data_dir`, or any other by its URL; its tables.
 
-The version of the tables, `SCHEMA_VERSION`, stands in them and changes with them; a database of another
+The version of the tables, `SCHEMA_VERSION`, is stored in them and changes with them; a database of another
 version is refused.
 """
 
@@ -208,7 +208,7 @@ class DatabaseLocked(Refused):
         found = f"{self.state} for {waited:.0f} s" if waited else self.state
         super().__init__(location, found, self.expected_state, self.action)
         self.waited = waited
-        """Time waited, s."""
+        """Waiting time (s)."""
 
 
 class DatabaseAway(DatabaseLocked):
@@ -359,7 +359,7 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
 
 
 def _fault_of(error: DatabaseError, location: str, *, read_only: bool) -> BenchError:
-    """Return `error` of the database at `location` with its cure."""
+    """Return `error` of the database at `location` as a BenchError with an action."""
     if is_busy(error):
         return DatabaseLocked(location, BUSY_TIMEOUT)
     if is_away(error):

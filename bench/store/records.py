@@ -30,7 +30,7 @@ class CampaignState(StrEnum):
     """Aborted by a person at once; it cannot be resumed."""
     FINISHED = "finished"
     INTERRUPTED = "interrupted"
-    """Its runner died without closing it; never stored."""
+    """Derived, never stored: the runner died without closing the campaign."""
 
 
 def state_text(state: str, reason: str) -> str:
@@ -156,7 +156,7 @@ class Prompt(NamedTuple):
     kind: str
     text: str
     content: Mapping[str, Any]
-    """State of the bench once it is done."""
+    """State of the bench after the prompted work."""
     asked: datetime
     answered: datetime | None = None
     by: str = ""

@@ -13,7 +13,7 @@ JSON line each:
 `failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      no further keys
 
-It ends on SIGTERM or when its supervisor is gone. Outcomes not settled by then stay unsettled.
+It ends on SIGTERM or when its supervisor is gone. Outcomes that are unsettled at its end remain so.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class ShotPresence:
             self._unanswered = impact
 
     def is_present(self, seen: float | None, now: float) -> bool:
-        """Return whether a monitor last `seen` at that time has not left a ball unanswered for too long."""
+        """Return whether the monitor answers struck balls in time; `seen` is the time of its last message."""
         if self._unanswered is not None and seen is not None and seen >= self._unanswered:
             self._unanswered = None
         return self._unanswered is None or now - self._unanswered <= SEEN_WITHIN

@@ -141,8 +141,8 @@ def mount(
 ) -> tuple[Configuration, Calibration]:
     """Return the configuration with `club` mounted, and the calibrations in force for it at `when`.
 
-    The tee's calibration is left out where the club's site has the tee elsewhere: there it is calibrated once
-    it has been moved.
+    The tee's calibration is left out if the club's site has another ball position: it is repeated after the
+    tee has been moved.
 
     Raises:
         BenchError: the club is unknown, or the calibrations cannot be read.

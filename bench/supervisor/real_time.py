@@ -187,7 +187,8 @@ def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterato
     started inside run with normal scheduling. With "off" nothing is asked, only read.
 
     Raises:
-        Refused: with "require", naming every missing setting and its action; everything is restored.
+        Refused: with "require", a setting is missing. The message lists each with its action; the previous
+            settings are restored.
     """
     # Scheduling last: locking memory and collecting garbage take long and come before.
     items = (

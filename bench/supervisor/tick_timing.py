@@ -85,7 +85,7 @@ class TickTiming:
     def note(self, marks: NDArray[np.int64], due: int, woke: int) -> int:
         """Count a tick with its due and wake-up times (ns); `marks` are its STAMPS. Takes about 1 us.
 
-        Return by how much it was late (ns), with the grid points skipped before it; 0 unless that is a stall.
+        Return the delay of a stall, including the grid points skipped before it (ns); 0 without a stall.
         """
         return _note(self._words, marks, due, woke)
 

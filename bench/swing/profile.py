@@ -1,4 +1,4 @@
-"""A swing profile: the motion of the robot tick by tick, and blind stops from each instant.
+"""A swing profile: the motion of the robot tick by tick, and open-loop brakes from each instant.
 
 A profile is a short TOML file (golfer, club, times, planned delivery, design limits) and a table in the same
 folder. The table is a Parquet file, whose digest the TOML file holds. The table has angles, velocities and
@@ -7,8 +7,9 @@ itself is also a profile. The swing runs from address to standstill after the fo
 the controller's.
 
 The table is exact, and small by delta coding: each column is a decimal of fixed scale, so that any Parquet
-reader shows rad, rad/s and openings, and it is read back bit for bit. A blind-brake pattern stands at the
-sample where it begins; the rows between are null. Elsewhere a null is -0.0, which a decimal cannot hold.
+reader shows rad, rad/s and openings, and its values are read back bit-identical. A pattern of the
+open-loop brake is stored at the sample where it begins; the rows between are null. Elsewhere a null is -0.0,
+which a decimal cannot hold.
 """
 
 from __future__ import annotations
@@ -177,9 +178,9 @@ class FollowedGolfer(TypedDict):
     deviation: Annotated[list[float], Count(4)]
     """Deviations of shoulder, arm, wrist and head as fractions of the golfer's ranges."""
     rms_rad: Annotated[list[float], Count(3)]
-    """The same of shoulder, arm and wrist (rad)."""
+    """RMS deviations of shoulder, arm and wrist (rad)."""
     rms_head_m: float
-    """The same of the head (m)."""
+    """RMS deviation of the head (m)."""
     definition: str
     """Definition of the deviations."""
 
@@ -209,12 +210,12 @@ class Profile:
     impact_time: float
     """Planned contact, s from the start."""
     delivery: dict[str, float] = field(default_factory=dict)
-    """Planned head_speed_mps, attack_angle_deg, shaft_lean_deg, ball_position; for people and checks."""
+    """Planned head_speed_mps, attack_angle_deg, shaft_lean_deg, ball_position, for display and checks."""
     limits: dict[str, float] = field(default_factory=dict)
     """Limits of the design: supply_pressure_pa, greatest_opening, ..."""
     air: tuple[float, ...] = ()
-    """Planned pressures of the six chambers at the address, shoulder A and B first (Pa absolute); empty: the
-    air there is as it comes."""
+    """Planned pressures of the six chambers at the address, shoulder A and B first (Pa absolute); empty: not
+    planned."""
     air_supply: float = 0.0
     """Supply pressure to which `air` belongs (Pa absolute)."""
     corrected: bool = False

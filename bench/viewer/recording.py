@@ -132,7 +132,7 @@ def layout_for(records: Sequence[ShotRecord]) -> Layout:
 
 
 def swing_span(record: ShotRecord) -> Span:
-    """Return where the swing is in the recording of one shot, with `_LEAD` around it, or all of it."""
+    """Return the span of the swing in a recording, extended by `_LEAD`; without a swing, all of it."""
     cycles = record.cycles
     if not len(cycles):
         return Span(0.0, 1.0)

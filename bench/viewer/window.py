@@ -121,7 +121,7 @@ class ViewerPage:
 
 
 MEMORY = "2GB"
-"""Memory of the viewer."""
+"""Memory limit of the viewer."""
 _START = 30.0
 """Startup time-out, s."""
 _END = 5.0

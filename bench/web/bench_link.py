@@ -1,8 +1,8 @@
 """The page's connection to its bench: retried until there is one, followed in a separate thread.
 
 It receives the bench's publications and asks with `BenchClient`, so it can do no more than that client.
-Commands are sent once: after a lost connection nothing is repeated. The page gets the state as words for the
-operator, with figures in SI for the browser's units.
+Commands are sent once: after a lost connection nothing is repeated. The page gets the state as text for the
+operator, with values in SI, which the browser converts.
 
 Readers of the page get the newest of each topic; their number is bounded. One that is too slow loses older
 messages, never the newest, and costs no more memory than one message a topic. Nothing waits for it.
@@ -334,7 +334,7 @@ class TopicPoller:
     """Publishes contents that have changed; a separate thread looks at them every second."""
 
     def __init__(self, broadcaster: PageBroadcaster, looks: Mapping[str, Callable[[], Any]]) -> None:
-        """`looks` return the content by topic; one that raises is called again."""
+        """`looks` are functions that return the content of a topic; one that raises is called again."""
         self._broadcaster, self._looks, self._ended = broadcaster, looks, Event()
         self._thread = Thread(target=self._work, name="page-poller", daemon=True)
 

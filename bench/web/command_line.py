@@ -239,7 +239,7 @@ class ViewerProcess:
     """
 
     def __init__(self, golfbench: CommandLine, publish: Callable[[str, Any], None]) -> None:
-        """`publish` gets topic and content."""
+        """`publish` takes a topic and its content."""
         self._golfbench, self._publish = golfbench, publish
         self._process: subprocess.Popen[bytes] | None = None
         self._url = ""

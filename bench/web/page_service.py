@@ -274,7 +274,7 @@ TIMEOUT = 2.0
 Shorter than at the command line, which waits in front of the operator: nothing may move long after a click.
 """
 MAX_AGE = 3.0
-"""Max age of the state that a command was given from, s."""
+"""Max age of the displayed state when a command is clicked (s)."""
 MAX_NUMBERS = 1024
 """Number of commands that are remembered to refuse their repetition."""
 

@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 MAX_FILES = 100
-"""Max number of listed plans, or robots, of the bench."""
+"""Max number of listed plans, and of listed robots."""
 MAX_FILE_BYTES = 1 << 20
 """Max size of such a file, bytes."""
 
@@ -145,7 +145,7 @@ def _described(name: str, file: Path, known: Mapping[str, Collection[str]]) -> d
 
 
 def _lacking(plan: Mapping[str, Any], section: str, known: Collection[str]) -> list[str]:
-    """Return the names in the design's `section` that neither `known` nor the plan itself has."""
+    """Return the names in `section` of the design that are neither `known` nor defined in the plan."""
     design, own = plan.get("design", {}), plan.get(section, {})
     wanted = design.get(section) if isinstance(design, dict) else None
     if not isinstance(wanted, list) or not isinstance(own, dict):
@@ -329,7 +329,7 @@ def bench_values(configuration: Configuration) -> dict[str, Any]:
     entries = []
     for kind in CalibrationKind:
         entry = calibration.of(kind)
-        nominal = "not checked" if kind is CalibrationKind.INPUTS else "nominal, as the configuration has it"
+        nominal = "not checked" if kind is CalibrationKind.INPUTS else "nominal value of the configuration"
         missing = "missing" if calibration.required else nominal
         if any(bad.kind == kind for bad in calibration.unreadable):
             missing = "unreadable"

@@ -1,7 +1,7 @@
 """The driver contract and the values that cross it; below, what drivers and the plant share.
 
-Every Boolean is False when the wire carries no energy, except the guard lock: it is locked by its
-spring, so `guard_lock = True` is the state without energy and False energises the release.
+Every Boolean is False when the wire is de-energised, except the guard lock: it is locked by its
+spring, so `guard_lock = True` is the de-energised state and False energises the release.
 A 0-10 V valve has its centre at 5 V: zero volts is full stroke, and no driver treats it as safe.
 """
 

@@ -36,7 +36,7 @@ _HEADER = struct.Struct("=8sI12sQQ16s")
 """Magic, layout version, kind of file, slots, bytes of a record, digest of the record's type."""
 
 _SHARED = getattr(mmap, "MAP_SHARED", 0) | getattr(mmap, "MAP_POPULATE", 0)
-"""All pages at once, so that no tick pays for a page fault; other systems than Linux only import this."""
+"""Flags that map all pages at once, so that no tick has a page fault; only Linux uses them."""
 
 HEAD, HEAD_WORD = 64, 8
 """Byte of the head word: on a separate cache line, as are the slots."""
@@ -208,7 +208,7 @@ class MappedSlots:
 
 
 def _address(memory: mmap.mmap) -> int:
-    """Return the address of `memory`, which no array refers to afterwards."""
+    """Return the address of `memory` without keeping an array, which would prevent its closing."""
     return np.frombuffer(memory, np.uint8).ctypes.data
 
 

@@ -173,7 +173,7 @@ class CanopenDriver:
         inputs = tuple(1 << bit if bit >= 0 else 0 for bit in vars(valve_node.inputs).values())
         self._input_bits, self._vent_bits, self._shut_off_bit = inputs[:5], inputs[5:7], inputs[7]
         self._groups = analogue_groups(self.settings)
-        # By number of the group, pressures twice: count zero, value of a count, believable values.
+        # Per analogue group (two of pressures, one of spools): value at count 0, per count, plausible range.
         pressure, spool = valve_node.pressure_at_zero, valve_node.spool_at_zero
         self._zeros = pressure, pressure, spool
         per_count = (valve_node.pressure_at_full_scale - pressure) / FULL_SCALE

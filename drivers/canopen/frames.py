@@ -262,7 +262,7 @@ def _services(settings: CanopenSettings, watchdog: float) -> Iterator[Frame]:
 
 
 def bus_load(settings: CanopenSettings, period: float, watchdog: float) -> float:
-    """Return the maximum bus load as a share; above 1 the bus is overloaded."""
+    """Return the maximum bus load as a fraction; above 1 the bus is overloaded."""
     return sum(one.load for one in traffic(settings, period, watchdog)) / settings.bitrate
 
 

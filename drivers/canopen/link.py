@@ -118,7 +118,7 @@ class SocketcanLink:
     def __init__(self, bus: SocketcanBus) -> None:
         self._bus, self._socket = bus, bus.socket
         self.echoed = -math.inf
-        """Time of transmission of the last own SYNC, s."""
+        """Transmission time of the last own SYNC (s)."""
         self.wall = WallOffset()
         with suppress(OSError):  # needs CAP_NET_ADMIN
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)

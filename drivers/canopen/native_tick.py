@@ -242,7 +242,7 @@ def _wait(states: Any, block: int) -> int:
 
 @compiled
 def _note_echo(states: Any, block: int, k: int) -> None:
-    """Note when the own SYNC, frame `k` of the batch, was transmitted, as `SocketcanLink` does."""
+    """Record the transmission time of the own SYNC, frame `k` of the batch, as `SocketcanLink` does."""
     s = states[0]
     scratch = block + _AT_CLOCK
     before = monotonic_now(scratch)

@@ -93,7 +93,7 @@ class DaqDriver:
         self._forget()
 
     def _forget(self) -> None:
-        """Reset everything known about the card."""
+        """Clear the stored state of the card."""
         s = self.settings
         self._time = -math.inf
         self._count, self._indexed = [0, 0, 0], [False] * 3

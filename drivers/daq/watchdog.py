@@ -127,7 +127,7 @@ class CardWatchdog:
         self._task.stop()
 
     def feed(self) -> bool:
-        """Reset the watchdog timer; return False if it has tripped. The first call starts it."""
+        """Reset the watchdog timer; return False if it has tripped. The first call starts the timer."""
         if not self.running:
             self._task.start()
             self.running = True

@@ -66,7 +66,7 @@ class ObjectStream:
             if (len(part) if end is None else end) > MAX_OBJECT_SIZE:
                 self.error = f"an object of more than {MAX_OBJECT_SIZE} bytes"
             elif self._depth > MAX_DEPTH:
-                self.error = f"objects in objects more than {MAX_DEPTH} deep"
+                self.error = f"objects nested more than {MAX_DEPTH} deep"
             if end is None or self.error:
                 break
             found.append(bytes(part[:end]))
@@ -176,7 +176,7 @@ class MessageCounts:
     cut_off: int = 0
     """Incomplete objects; not counted in `objects`."""
     passed_over: int = 0
-    """Bytes outside objects."""
+    """Number of bytes outside objects."""
 
     def add(self, other: MessageCounts) -> None:
         """Add the counts of `other`."""

@@ -328,7 +328,7 @@ class MonitorQuirk(NamedTuple):
     """Values by field, in lower case, that state no measurement."""
     reason: str
     source: str
-    """Repository, commit and file."""
+    """Source of this entry: repository, commit and file."""
 
     def covers(self, key: str, value: Any, *, of_club: bool) -> bool:
         """Return whether field `key`, of club or ball, holds no measurement with this `value`."""

@@ -90,7 +90,7 @@ class LaunchRecord:
 
     @property
     def valid(self) -> bool:
-        """Whether all five figures are known and undoubted."""
+        """Whether all five values are known and plausible."""
         return self.launch is not None and not self.doubts
 
     @property
@@ -123,7 +123,7 @@ class LaunchRecord:
 
 
 EARLIEST = 0.1
-"""Begin of a window before the impact, s: the two times are taken in different processes."""
+"""Lead of the matching window before the impact (s): the two times are taken in different processes."""
 CLUB_DELAY = 3.0
 """Maximum time between the messages of ball and club of one shot, s: monitors that send two take about one
 second for the second, and the robot needs six from one swing to the next."""

@@ -45,7 +45,7 @@ class Personality:
     maker: str
     family: str
     source: str
-    """Document from which this was read, and which of it is an assumption."""
+    """Source document of the values, and the assumed ones."""
     counts: int = 0
     """Counts per revolution of an encoder's disc; 0 for those of the plant."""
     revolutions: int = 1

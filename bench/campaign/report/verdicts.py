@@ -24,7 +24,7 @@ _CARRIES = {
 
 
 def quantity_name(plan: CampaignPlan) -> str:
-    """Return the name of the compared quantity in sentences; that of a flight has the source of its carry."""
+    """Return the display name of the compared quantity; for a flight it includes the source of its carry."""
     a = plan.analysis
     return NAMES[a.quantity] + (_CARRIES.get(a.carry, "") if a.quantity in FLOWN else "")
 

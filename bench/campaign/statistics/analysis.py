@@ -245,7 +245,7 @@ class _Data(NamedTuple):
     delivery: Array | None
     """(n, covariates)"""
     beside: Array | None
-    """(n, m): other factors that are taken out; the balls of a split-plot."""
+    """Columns (n, m) of factors whose effects are removed: the balls of a split-plot."""
     missing: int
 
     def fit(self, levels: int) -> BlockFit:

@@ -63,7 +63,7 @@ class Contrast(NamedTuple):
         return float(2 * special.stdtr(self.dof, -abs(self.estimate) / self.error))
 
     def widened(self, *common: float) -> Contrast:
-        """Return it with standard uncertainties that more shots do not reduce (Welch and Satterthwaite)."""
+        """Return the contrast with systematic uncertainties `common` added (Welch and Satterthwaite)."""
         extra = hypot(*common)
         if not extra:
             return self
@@ -328,7 +328,7 @@ class Spread(NamedTuple):
     n: int
     """Number of shots."""
     balls: int
-    """Number of balls, in a split-plot of mountings; with only one, the values are those of this ball."""
+    """Number of balls in a split-plot of mountings; with one ball, the values hold for that ball only."""
     mean: float
     low: float
     high: float

@@ -55,10 +55,10 @@ def power_of_shift(shift: float, dof: float, alpha: float) -> float:
 def same_power_of_error(
     margin: float, error: float, dof: float, alpha: float, difference: float = 0.0
 ) -> float:
-    """Return the chance that two one-sided tests at `alpha` call a true `difference` less than `margin`.
+    """Return the power of two one-sided tests at `alpha` to show that a true `difference` is below `margin`.
 
     `error` is the difference's true standard error. Exact: the normal probability of the estimate, averaged
-    over the distribution of the deviation seen.
+    over the distribution of the observed standard deviation.
     """
     if dof <= 0 or margin <= 0 or alpha <= 0:
         return 0.0
@@ -105,7 +105,7 @@ def spent(alpha: float, share: float) -> float:
 
 @lru_cache(maxsize=4096)
 def look_level(alpha: float, shares: tuple[float, ...]) -> float:
-    """Return the two-sided level of the last of the looks at these increasing `shares`."""
+    """Return the two-sided level of the last interim analysis at the increasing plan fractions `shares`."""
     if len(shares) == 1:
         return spent(alpha, shares[0])
     grid, weights, before = _inside(alpha, shares[:-1])

@@ -40,7 +40,7 @@ _SINGULAR = 0.05
 """Share of the largest singular value below which variances of levels cannot be separated."""
 
 _MIN_VARIANCE_SHARE = 0.1
-"""Lower bound of a difference's variance, as a share of the likely variance."""
+"""Lower bound of a difference's variance, as a fraction of the assumed variance."""
 
 _FEW_UNITS = 64
 """Number of units up to which sums of squares are drawn as they come about, unit by unit."""
@@ -126,7 +126,7 @@ class UnitErrors(NamedTuple):
     def of_pair(self, first: int, second: int) -> tuple[float, float]:
         """Return standard error and degrees of freedom of a difference."""
         each = self.weights(first, second)
-        # The sum of two unbiased variances is rarely negative; it is bounded by a tenth of the likely sum.
+        # Unbiased variance estimates can be negative: their sum is at least a tenth of the assumed one.
         variance = max(float(each @ self.variances), _MIN_VARIANCE_SHARE * float(each @ self.assumed))
         error, made = sqrt(max(variance, 0.0)), each @ self.inverse
         spread = float(made @ self.spread @ made)

@@ -397,7 +397,7 @@ class CommandTerminal:
     """Stands between terminal and command for a `with`."""
 
     def __init__(self, on_stop: Callable[[], None], line: Callable[[int], str], period: float) -> None:
-        """`on_stop` is called at each stop key; `line` returns the last line, drawn every `period` s."""
+        """`on_stop` is called at each stop key; `line` returns the status line, drawn every `period` s."""
         self._on_stop, self._line, self._period = on_stop, line, period
         self._input = sys.stdin.fileno()
         self._pending = b""

@@ -214,7 +214,7 @@ def show_scan(configuration: Configuration) -> None:
 def _compared(
     node: ScannedNode, configuration: Configuration, calibrated: CalibratedShifts | None
 ) -> ScannedNode:
-    """Return `node`, refused if the zero of its encoder is not where it was calibrated."""
+    """Return `node`, marked as refused if its encoder zero differs from the calibrated one."""
     from bench.records.telemetry.encoder_preset import moved_zero
 
     numbers = configuration.canopen.encoders.nodes

@@ -229,7 +229,7 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
         Console().print(listing(entries, calibration_of(configuration, now), now))
     else:
         typer.echo(
-            f"bench {bench.id} was never calibrated: all values are nominal, as the configuration has them"
+            f"bench {bench.id} was never calibrated: all values are nominal values of the configuration"
         )
     for one in sorted(balls, key=lambda one: one.subject):
         typer.echo(f"aerodynamics of {one.subject}: {one.text}")

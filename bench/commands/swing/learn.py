@@ -209,7 +209,7 @@ def mark_from_person() -> tuple[float, float] | None:
 
 
 def _table(result: LearningResult, name: str) -> Table:
-    table = plain_table(title=f"{name}: what each swing delivered")
+    table = plain_table(title=f"{name}: delivery of each swing")
     units = ("strike\nmm", "head\nm/s", "lean\n°", "attack\n°", "path\nmrad", "limit\n%")
     for column in ("swing", *units, ""):
         table.add_column(column, justify="right" if column != "" else "left", no_wrap=True)

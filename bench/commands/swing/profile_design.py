@@ -297,11 +297,12 @@ def _save_design(
         f"strike {delivery['in_plane_error_mm']:+.2f} mm."
     )
     typer.echo(
-        f"Cushions at most: {100 * limits['stop_share']:.0f} % struck, "
-        f"{100 * limits['stop_share_missed']:.0f} % missed, {100 * limits['stop_share_silent']:.0f} % silent."
+        f"Max absorber load: {100 * limits['stop_share']:.0f} % with the ball struck, "
+        f"{100 * limits['stop_share_missed']:.0f} % with the ball missed, "
+        f"{100 * limits['stop_share_silent']:.0f} % after loss of communication."
     )
-    typer.echo("Possible on this machine: it passes the checks of `golfbench check`.")
+    typer.echo("Feasible on this machine: all checks of `golfbench check` passed.")
     if given:
-        typer.echo("Gave way: " + "; ".join(given) + ".")
+        typer.echo("Relaxed requirements: " + "; ".join(given) + ".")
     if row is not None:
         _show_deviation(plant, row)

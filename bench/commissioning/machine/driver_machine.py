@@ -336,7 +336,7 @@ class DriverMachine:
             self._stalled_at = self._now
 
     def _read(self) -> None:
-        """Take the readings; a pressure without a believable value keeps its last one, and is a problem."""
+        """Take the readings; a pressure without a plausible value keeps its last one and is reported."""
         before = self._readings["chamber_pressure"].copy(), self._readings["supply_pressure"].copy()
         self._read_record(self._now, self._readings)
         self._fault = self._problem()

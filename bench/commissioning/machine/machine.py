@@ -47,7 +47,7 @@ class MotionBounds(NamedTuple):
     speed: Triple
     """Max speed of each joint, rad/s by its encoder."""
     travel: Triple
-    """Max way of each joint from where the sequence began, rad by its encoder."""
+    """Max displacement of each joint since the start of the sequence, by its encoder (rad)."""
     pressure: float
     """Max pressure of a chamber, Pa absolute; infinite: no sensor is needed."""
     opening: float = 0.35
@@ -89,7 +89,7 @@ class MotionTrace:
     vents_shut: NDArray[np.bool_]
     """(n,) whether the vents are commanded shut from this row on."""
     segment: NDArray[np.int64]
-    """(n,) number of the segment."""
+    """Index of the segment (n,)."""
     tripped: PassedBound | None = None
     """Bound that ended the sequence."""
     ended: tuple[bool, ...] = ()

@@ -109,7 +109,7 @@ class LiveSeries:
         )
         control = loop.state.control
         for permission in ("supervisor_alive", "lease_held", "support_ready"):
-            control[permission] = True  # the caller alone has this bench, and keeps its records
+            control[permission] = True  # no other client; the caller stores the records
         self._operator = SwingOperator(loop, stop=stop, name=bench.profile.name)
         self._operator.shows_no_pressure()  # compiled, or read from the cache, before a tick waits for it
         near_address(loop.parameters, loop.state.estimator)

@@ -291,7 +291,7 @@ class PredictionStopped(PredictionFails, SwingStopped):
 
 
 Mark = tuple[float, float]
-"""Ball's mark on the face, mm from its centre: towards the toe, and up."""
+"""Position of the ball's mark relative to the face centre: towards the toe, upwards (mm)."""
 _READ = 0.5
 """mm to which a person reads a mark."""
 

@@ -59,7 +59,7 @@ _STEP, _PUSH = 0.15, 0.08
 _OPEN, _BETWEEN, _PULSES = 0.06, 0.4, 5
 """Duration of a step, pause between two (s), and their number."""
 _COAST, _PUSHES = 0.3, (0.3, 0.2)
-"""Duration of coasting, s, and shares of the travel at which it starts."""
+"""Duration of coasting (s); fractions of the travel at which it starts."""
 _SEEN = 0.08
 """Part of a step's response that counts (s)."""
 _MIN_FREQUENCY = 2.0 * np.pi * 20.0

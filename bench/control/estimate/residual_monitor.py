@@ -134,7 +134,7 @@ def observe(
         move_spool(m, p, applied[i] - p.centre[i], i, 2 * p.substeps)
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         a, b = 2 * i, 2 * i + 1
-        # How much open vents pass is not known well enough to judge chambers by it.
+        # The flow through open vents is too uncertain to check the chamber pressures.
         known = vent == 0.0 and indexed[i] != 0 and _is_shown(m, r, a) and _is_shown(m, r, b)
         if not (fresh and known and np.isfinite(r.supply_pressure + position + speed)):
             for k in range(a, b + 1):

@@ -85,7 +85,7 @@ def pneumatic_opening(
 
 
 def kane_gains(plant: Any) -> tuple[Array, Array]:
-    """Return openings (3,) per N/s of force rate and per m/s of actuator speed; the shoulder's in N m, rad.
+    """Return valve commands (3,) per force rate (N/s) and per speed (m/s); the shoulder's in N m/s and rad/s.
 
     `plant` is the machine's PLANT_PARAMETERS record.
     """

@@ -28,7 +28,7 @@ from drivers.base.compiled import compiled
 AT_REST = 0.01
 """Max turn of a resting joint in a tick (rad)."""
 AT_INDEX, IN_A_BLOW = 0.005, 0.05
-"""Max turn of a moving joint in a tick beyond its velocity's (rad); while the ball is struck."""
+"""Max angle deviation from the prediction when an index passes (rad): outside impact; during impact."""
 _COUNTS = 2.0
 """Counts of rounding."""
 

@@ -1,7 +1,7 @@
 """End stops as homing finds them: the angles of joints pressed there, and the head's error for a wrong zero.
 
-A joint pressed against its stop rests where the stop's spring balances its air and gravity. The air is less
-than the full supply pressure: the valve is open a little only, and chambers leak.
+A joint pressed against its stop rests where the stop's spring balances chamber pressure and gravity. The
+pressure is below supply pressure: the valve is only slightly open, and chambers leak.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ class ShutOffPart(SourcedPart):
     """A shut-off valve that reports its position."""
 
     switching_time: Annotated[float, Range(0.0, 5.0, "s")]
-    """Longest time from loss of power to exhausting, s."""
+    """Max time from loss of power to exhausting (s)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -365,9 +365,8 @@ def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
         if name in known:
             found[part] = known[name]
         elif name or part not in _OPTIONAL:
-            raise BenchError(
-                f"hardware: {part}", name, f"of {kind}: {', '.join(known)}", "Correct it, or add the part."
-            )
+            action = "Name a known part, or add it to the catalogue."
+            raise BenchError(f"hardware: {part}", name, f"of {kind}: {', '.join(known)}", action)
     return Parts(**found)
 
 

@@ -42,7 +42,7 @@ class SizedPlan:
     speed: float
     """Head speed at the ball, m/s; nan without a plan."""
     failure: str
-    """Why there is no plan; empty if there is one."""
+    """Reason for the missing plan; empty with a plan."""
     carried: tuple[float, float] = (0.0, 0.0)
     """Energies brought to the upper cushions of right arm and wrist if the ball is missed, J."""
     peak_pressure: float = 0.0
@@ -53,12 +53,12 @@ class SizedPlan:
 
 @dataclass(frozen=True)
 class SizedSwing:
-    """The whole swing at the demanded speed in closed loop, on the plant."""
+    """The complete swing at the required speed, simulated in closed loop on the plant."""
 
     speed: float
     """Head speed (m/s); nan without a swing."""
     failure: str
-    """Why there is no swing; empty if there is one."""
+    """Reason for the missing swing; empty with a swing."""
     attack: float = 0.0
     """Attack angle (rad)."""
     air: float = 0.0
@@ -66,11 +66,11 @@ class SizedSwing:
     peak_pressure: float = 0.0
     """Peak pressure (Pa absolute)."""
     struck: float = 0.0
-    """Worst cushion energy as a share of its rating, ball struck."""
+    """Max absorber energy as a fraction of the rating, ball struck."""
     missed: float = 0.0
     """The same, ball missed."""
     silent: float = 0.0
-    """The same, bench silent at five times before the ball."""
+    """The same, loss of communication at five times before the ball."""
     cases: int = 0
     """Tried fault cases of `profile check`; 0: none was tried."""
     unsafe: int = 0
@@ -399,7 +399,7 @@ class SizingRun:
         ]
 
     def _cheapest(self, points: Sequence[SizedPoint]) -> SizedPoint | None:
-        """Return the cheapest point that exceeds the speed by the reserve, the fastest of equal prices."""
+        """Return the cheapest point that exceeds the speed by the reserve; at equal prices, the fastest."""
         enough = self.enough(points)
         return min(enough, key=lambda point: (point.price, -point.plan.speed), default=None)
 

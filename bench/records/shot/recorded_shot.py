@@ -169,7 +169,7 @@ def shot_of_cycles(
 ) -> ShotRecord:
     """Return the shot in `cycles`: the delivery as estimated, launch and flight as modelled.
 
-    A ball flew if it was on the tee before the head crossed its place and not after.
+    A ball counts as struck if it was on the tee before the head passed its position and not afterwards.
     """
     trips = cycles["cause"][cycles["cause"] != 0]
     delivery = delivery_of_cycles(cycles, plant)

@@ -104,7 +104,7 @@ class Shot:
     flight_source: str = ""
     """Source of total, apex, landing angle and side; empty: that of `carry_m`."""
     gate_figure: str = ""
-    """First figure outside a campaign's gate: a field of `bench.campaign.plan.gate.Centre`; "" if none is."""
+    """First metric outside the campaign's gate: a field of `bench.campaign.plan.gate.Centre`, or empty."""
 
     def __post_init__(self) -> None:
         """Refuse values a table cannot hold: non-finite figures, times without zone, a missing reason."""

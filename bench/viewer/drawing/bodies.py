@@ -1,8 +1,8 @@
 """Solids and materials that drawn bodies are made of, and their surfaces as triangles for viewers and files.
 
 Volume, centroid and second moments are exact. Three kinds suffice: bars with bores, round tubes, ellipsoids
-with a flat cut. Each knows its surface as triangles; `bench.viewer.drawing.model_files` makes the same
-solids for a workshop. Lengths in m.
+with a flat cut. Each provides its surface as triangles; `bench.viewer.drawing.model_files` exports the
+same solids for a workshop. Lengths in m.
 """
 
 from __future__ import annotations
