@@ -46,6 +46,9 @@ LATE = 200e-6
 CHILD_TIME_LIMIT = 60.0
 """Seconds a child process may take before its question counts as unanswered."""
 
+MAX_FILTER_DIFFERENCE = 1e-9
+"""Max difference between the compiled estimator's velocities and filterpy's (rad/s)."""
+
 _ARPHRD_CAN = "280"
 _CLOCKS = "/sys/devices/system/clocksource/clocksource0"
 _STEADY = frozenset({"tsc", "arch_sys_counter", "kvm-clock"})
@@ -169,6 +172,7 @@ def probes(data_dir: Path) -> tuple[Probe, ...]:
         Probe("machine", "data folder", functools.partial(data_folder, data_dir), required=True),
         *package_probes(),
         Probe("packages", "compiled code", compiled_code),
+        Probe("packages", "Kalman filter", kalman_filter),
         *extra_probes(),
         *realtime_probes(),
         Probe("CAN", "SocketCAN", socketcan),
@@ -310,6 +314,15 @@ def compiled_code() -> ItemResult:
     if not functions:
         return limited(f"cold, will be kept in {folder}", "the first run compiles, later ones do not")
     return ok(f"warm, {functions} functions in {folder}")
+
+
+def kalman_filter() -> ItemResult:
+    """Compare the estimator as compiled for this processor with filterpy's filter."""
+    difference = json.loads(_child("filter"))["difference_rad_per_s"]
+    if not difference < MAX_FILTER_DIFFERENCE:  # also NaN
+        found = f"velocities differ by {difference:.1e} rad/s from those of filterpy"
+        return missing(found, "delete the folder of compiled code; if that is no help, use another machine")
+    return ok(f"equal to filterpy within {MAX_FILTER_DIFFERENCE:g} rad/s")
 
 
 # Real time -------------------------------------------------------------------------------------------
@@ -556,11 +569,18 @@ def _compiled_code() -> dict[str, Any]:
     return {"folder": str(folder), "functions": sum(1 for one in versions for _ in one.rglob("*.nbc"))}
 
 
+def _filter_difference() -> dict[str, float]:
+    from bench.control.estimate.reference_filter import velocity_difference
+
+    return {"difference_rad_per_s": velocity_difference()}
+
+
 _QUESTIONS: dict[str, Callable[[], Any]] = {
     "realtime": _realtime,
     "can": _can_channels,
     "daq": attached_daq_cards,
     "cache": _compiled_code,
+    "filter": _filter_difference,
 }
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise, Q_discrete_white_noise
-from filterpy.kalman import KalmanFilter
 from hypothesis import strategies as st
 
 from bench.base.lifecycle import Phase, Request
@@ -15,6 +14,7 @@ from bench.control.estimate.estimator import (
     design_estimator,
     estimate,
 )
+from bench.control.estimate.reference_filter import Samples, filterpy_estimates, velocity_difference
 from bench.control.settings import build_controller
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import LockstepEngine
@@ -46,10 +46,6 @@ def designed(**changes: Any) -> Array:
     return design_estimator(**given_values | changes)
 
 
-def upper(P: Array) -> Array:
-    return P[np.triu_indices(3)]
-
-
 class Track:
     """Values of a run of the estimator, one row per tick."""
 
@@ -72,38 +68,15 @@ def run(angle: Array, age: Array, valid: Array, dt: Array, window: Array, parame
     return track
 
 
-def filterpy_run(
-    angle: Array, age: Array, valid: Array, dt: Array, window: Array, joint: int, first: int
-) -> tuple[Array, Array, Array]:
-    """Return state, covariance and innovation of filterpy's own filter from tick `first` on."""
-    kf = KalmanFilter(dim_x=3, dim_z=1)
-    kf.x = np.array([[angle[first, joint]], [0.0], [0.0]])
-    kf.P = np.diag([RESOLUTION**2 / 12, 1.0, 100.0])
-    states, covariances, innovations = [], [], []
-    for k in range(first + 1, len(angle)):
-        t, a = dt[k], age[k, joint]
-        kf.F = np.array([[1.0, t, t * t / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
-        kf.Q = Q_discrete_white_noise(3, t, CHANGE[joint] ** 2 * t / PERIOD)
-        if window[k]:
-            kf.Q[:2, :2] += Q_continuous_white_noise(2, t, JUMP[joint] ** 2 / PERIOD)
-        kf.predict()
-        kf.H = np.array([[1.0, -a, a * a / 2]])
-        kf.R = np.array([[RESOLUTION**2 / 12 + (kf.x[1, 0] * JITTER[joint]) ** 2]])
-        kf.update(angle[k, joint] if valid[k, joint] else None)
-        states.append(kf.x[:, 0].copy())
-        covariances.append(upper(kf.P))
-        innovations.append(kf.y[0, 0] if valid[k, joint] else 0.0)
-    return np.array(states), np.array(covariances), np.array(innovations)
-
-
 def assert_equal_to_filterpy(angle: Array, age: Array, valid: Array, dt: Array, window: Array) -> None:
     """Angle and velocity within 1e-9, acceleration within 1e-9 of 1000 rad/s², covariances of their scale."""
-    track = run(angle, age, valid, dt, window, designed())
+    samples, parameters = Samples(angle, age, valid, dt, window), designed()
+    track = run(*samples, parameters)
     for joint in range(3):
         if not valid[:, joint].any():
             continue
         first = int(np.argmax(valid[:, joint]))
-        x, P, y = filterpy_run(angle, age, valid, dt, window, joint, first)
+        x, P, y = filterpy_estimates(samples, parameters, joint)
         own = track.x[first + 1 :, joint]
         np.testing.assert_allclose(own[:, 0], x[:, 0], rtol=0, atol=1e-9)
         np.testing.assert_allclose(own[:, 1], x[:, 1], rtol=0, atol=1e-9)
@@ -189,6 +162,10 @@ def test_estimate_random_missing_samples_equals_filterpy(
     dt = rng.uniform(0.5, 1.5, ticks) * PERIOD
     window = np.abs(np.arange(ticks) - opening) < 6
     assert_equal_to_filterpy(angle, rng.uniform(0, 5e-4, (ticks, 3)), valid, dt, window)
+
+
+def test_velocity_difference_of_compiled_filter_is_rounding() -> None:
+    assert 0 < velocity_difference() < 1e-9
 
 
 def test_design_estimator_noise_equals_filterpy() -> None:
