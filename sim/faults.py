@@ -95,14 +95,14 @@ MEANINGS: dict[str, dict[Kind, str]] = {
     "valve": {
         "off": "de-energised: the spring centres the spool",
         "stuck": "the spool stays at `value`, or where it stands",
-        "garbage": "a random opening in each tick",
+        "garbage": "a random valve command in each tick",
         "offset": "opens by `value` too much",
         "scale": "opens `value` times as far",
         "slow": "follows with a time constant of `value` s",
         "delayed": "follows `value` s late",
-        "intermittent": "centred in the share `value` of ticks",
+        "intermittent": "centred in the fraction `value` of ticks",
         "drifting": "opens by `value` a second too much",
-        "leaking": "its closed edges leak the share `value` of the full opening",
+        "leaking": "closed edges leak the fraction `value` of the fully open flow",
         "swapped": "exchanged with that of joint `value` (0 shoulder, 1 arm, 2 wrist)",
     },
     "supply": {
@@ -126,7 +126,7 @@ MEANINGS: dict[str, dict[Kind, str]] = {
     "relief": {
         "stuck": "stays shut (`value` 1) or fully open (0)",
         "offset": "opens `value` Pa too high",
-        "leaking": "leaks the share `value` of its full opening",
+        "leaking": "leaks the fraction `value` of the fully open flow",
     },
     "exhaust": {
         "scale": "passes the share `value` of its area, as with a clogged silencer or a kinked hose",
@@ -151,13 +151,13 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "scale": "`value` times the truth",
         "slow": "follows with a time constant of `value` s",
         "delayed": "`value` s late",
-        "intermittent": "no reading in the share `value` of ticks",
+        "intermittent": "no reading in the fraction `value` of ticks",
         "drifting": "`value` Pa/s away from the truth",
     },
     "spool feedback": {
         "off": "no reading",
         "stuck": "stays at `value`, or where it is",
-        "offset": "`value` too much, share of the full opening",
+        "offset": "`value` too much, as a fraction of full stroke",
     },
     "club head": {"off": "comes off"},
     "link": {

@@ -396,7 +396,7 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
 
 @compiled_inner
 def _note_stops(r: Any, p: Any, s: Any, y: Any) -> None:
-    """Record the max energy and depth of each end-stop cushion."""
+    """Record the max energy and compression of each shock absorber."""
     for i in range(3):
         depth = stop_depth(p, i, stop_coordinate(r, y, i))
         if depth == 0.0:

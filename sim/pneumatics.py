@@ -96,12 +96,12 @@ class Friction:
 
 @dataclass(frozen=True)
 class EndStop:
-    """An end stop with a cushion: `travel` beyond the working range absorbs up to `rating`."""
+    """End stop with shock absorber: `travel` beyond the working range absorbs up to `rating`."""
 
     energy: Annotated[float, Range(0.1, 1000.0, "J")]
     """Energy at which the spring fills the travel, J; the rated one unless `rated` is larger."""
     travel: Annotated[float, Range(1e-4, 1.0, "rad, rod m")]
-    """Cushion travel beyond the range (m, or rad at shoulder and wrist)."""
+    """Absorber travel beyond the range (m, or rad at shoulder and wrist)."""
     damping_speed: Annotated[float, Range(0.01, 1000.0, "rod m/s, else rad/s")] = 2.0
     """Speed at which damping doubles the spring force, and rebound force vanishes (m/s or rad/s)."""
     rated: Annotated[float, Range(0.0, 1000.0, "J")] = field(default=0.0, metadata={"optional": True})
@@ -204,10 +204,10 @@ class Supply:
 
 @compiled
 def stop_force(stiffness: float, travel: float, damping_speed: float, depth: float, speed: float) -> float:
-    """Return the force of a cushion pressed in by `depth` (> 0) at `speed` (positive inwards).
+    """Return the force of an absorber compressed by `depth` (> 0) at `speed` (positive inwards).
 
     Spring with position-dependent damping (Hunt & Crossley 1975), so that force and energy are continuous
-    and it never pulls. Behind the cushion's travel the structure is twenty times as stiff.
+    and it never pulls. Beyond the absorber's travel the structure is twenty times as stiff.
     """
     factor = max(1.0 + speed / damping_speed, 0.0)
     force = stiffness * depth

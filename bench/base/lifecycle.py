@@ -217,7 +217,7 @@ class Reaction(IntEnum):
 
 
 class Cause(IntEnum):
-    """Why the robot was stopped or disarmed.
+    """Cause of a stop or of disarming.
 
     The first cause of a stop is kept, unless an emergency or trapped pressure is found on top. LEASE,
     ARMED_TIME and SUPPORT disarm and latch nothing; the supervisor names them until the robot moves again.

@@ -172,7 +172,7 @@ _MODEL = Aerodynamics.LIBGOLF
 _ROUNDS = 2
 """Fits, each with the covariances at the solution before it."""
 _MIN_FACTOR, _MAX_FACTOR = 0.2, 2.9
-"""Bounds of both factors in a fit: differences are taken beyond them, within the bounds of `Ball`."""
+"""Bounds of both factors in a fit; its difference quotients go beyond them, within the bounds of `Ball`."""
 _DIFFERENCE = 1e-3
 """Relative step of the factors in derivatives."""
 _LAUNCH_STEPS = {"speed": 0.05, "launch_angle": 0.001, "spin": 5.0}

@@ -390,7 +390,7 @@ class Calibration:
     def problems(self, at: datetime, now: datetime | None = None) -> list[CalibrationProblem]:
         """Return the reasons against arming `at` a time; empty if there are none.
 
-        The words are those of `now`, by default the same time.
+        The texts state expiry as of `now`, by default the time `at`.
         """
         found = list[CalibrationProblem]()
         for entry in self.entries:

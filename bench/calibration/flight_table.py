@@ -51,7 +51,7 @@ class MeasurementTable(NamedTuple):
     header: int
     """Line of the header."""
     names: tuple[str, ...]
-    """Column names as they stand."""
+    """Column names as in the file."""
     keys: tuple[str, ...]
     """Column names for comparison."""
     units: tuple[str, ...]

@@ -63,7 +63,7 @@ class Session:
     """Requested configuration, a path or a variant's name; None means the default one."""
     debug: bool = False
     kept: Callable[[bool], BenchClient] | None = None
-    """Client of the console's connection, for a stop (True) also of a silent bench."""
+    """Source of the console's client; True: for a stop, also after loss of communication."""
 
     def configuration(self) -> Configuration:
         """Return the checked configuration.
@@ -89,7 +89,7 @@ class Session:
         """Return a client for a `with`: on the console's connection, or on one that ends with the block.
 
         Raises:
-            NoAnswer: there is no connection, or the console's bench is silent and this is not for `stopping`.
+            NoAnswer: no connection, or, unless `stopping`, loss of communication with the console's bench.
         """
         if self.kept is not None:
             return nullcontext(self.kept(stopping))

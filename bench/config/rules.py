@@ -59,7 +59,7 @@ BOUNDS = (
     Bound("lifecycle.access_delay", (0.0, inf), (5.0, 120.0), "s",
           "an encoder that is stuck shows rest while a raised arm sinks"),
     Bound("lifecycle.local_reset_time", (0.0, inf), (0.5, 30.0), "s",
-          "an older press does not account for a person at the robot now"),
+          "an older press does not prove that a person is still at the robot"),
     Bound("lifecycle.supervisor_timeout", (0.0, inf), (0.05, 2.0), "s",
           "if a stop over the network cannot arrive, the robot must stop automatically"),
     Bound("control.rest_speed", (0.0, 1.0), (0.0, 0.2), "rad/s",
@@ -77,9 +77,9 @@ BOUNDS = (
     Bound("envelope.encoder_timeout", (0.0, 0.5), (0.0, 0.012), "s",
           "for an encoder that is lost for longer, braking starts too late"),
     Bound("driver.watchdog", (0.0, inf), (0.0, 0.02), "s",
-          "until a silent bench is noticed its last openings stay in force"),
+          "until loss of communication is detected the last valve commands stay in force"),
     Bound("homing.tolerance", (0.0, 6.3), (0.0, 0.35), "rad",
-          "an encoder that may be further off proves no zero"),
+          "a larger tolerance verifies no encoder zero"),
     Bound("homing.head_tolerance", (0.0, 1.0), (0.0, 0.03), "m",
           "with zeros 0.1 rad off, 0.15 m at the head, the club passes 2 mm over the ground"),
 )  # fmt: skip
@@ -160,8 +160,8 @@ MAX_READ_SHARE = 0.7
 """Share of the loop's period that a tick may wait for the encoders; the rest is for deciding."""
 
 COST_OF_A_SYNC = 2.2
-"""Ticks without a sample when a SYNC is lost: its own; the next, whose sample might answer the lost one; and
-the max delay of a tick."""
+"""Ticks without a sample after a lost SYNC: the tick of that SYNC; the next tick, whose sample might answer
+the lost SYNC; and the max delay of a tick."""
 
 MIN_RELIEF_RATIO = 1.1
 """Min ratio of the relief valve's opening pressure to the regulated pressure."""
@@ -236,7 +236,7 @@ def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         if taken >= 0.8 * actuator.dead_volume:
             found = f"{short(actuator.stop.travel)}, which takes {short(taken)} m3 of a chamber's dead volume"
             most = f"less than {short(0.8 * actuator.dead_volume)} m3"
-            yield f"{key}.stop.travel", found, most, "Shorten the cushion or give more clearance."
+            yield f"{key}.stop.travel", found, most, "Set a shorter absorber travel or more clearance."
         stop, energy = actuator.stop, f"{key}.stop.energy"
         rated = _leaf(tree, f"{key}.stop.rated")
         if stop.rated > stop.energy and _is_below(rated, _leaf(tree, energy), c.files):
@@ -244,7 +244,7 @@ def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             yield energy, found, "both in one file", "Also give `rated`; 0 if it is `energy`."
         travel = actuator.upper - actuator.lower + 4 * actuator.stop.travel
         if name != "right_arm" and travel >= 2 * pi:
-            found = f"{short(travel)} rad of travel with twice the cushions"
+            found = f"{short(travel)} rad of travel with twice the absorbers"
             yield f"{key}.upper", found, "less than one turn, all that the encoder sees", "Narrow the range."
 
 

@@ -29,8 +29,8 @@ ENVELOPE_PARAMETERS = np.dtype(
     align=True,
 )
 """Limits in joint coordinates (theta1 rad, rod extension m, theta3 rad): working range, speeds (rad/s, m/s,
-rad/s), following error per phase (rad), deceleration that braking can count on and the speed that the cushion
-takes alone; opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest
+rad/s), following error per phase (rad), guaranteed deceleration of a brake and the speed that the absorber
+stops alone; valve command and its slew rate (1/s); time without a reading that counts as lost (s); longest
 tick while moving (s); deviation of a measured spool from its model, its time (s); supply (Pa); ground line,
 depth of the sole below the face centre, clearances outside and inside the ball's window (m); distance of the
 club from the shoulder axis (m); min |sin beta| of the wrist, and the mounting angle of its lever (rad)."""

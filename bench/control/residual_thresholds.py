@@ -196,7 +196,7 @@ class ModelLimits:
     profile: str
     """Name of the profile."""
     draws: int
-    """Number of robots drawn to make them."""
+    """Number of sampled robots that the limits come from."""
     made_for: LimitsFingerprint
     tables: LimitTables
 

@@ -73,11 +73,11 @@ class PidSettings:
     """One PID per actuator on its joint angle; the output is a valve command."""
 
     proportional: NotNegativeTriple = (2.0, 0.65, 0.75)
-    """Opening per rad."""
+    """Valve command per rad."""
     integral: NotNegativeTriple = (0.5, 0.8, 0.45)
-    """Opening per rad s."""
+    """Valve command per rad s."""
     derivative: NotNegativeTriple = (0.165, 0.024, 0.028)
-    """Opening per rad/s, on reference less filtered velocity."""
+    """Valve command per rad/s of reference less filtered velocity."""
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,11 @@ class ControlSettings:
     pid: PidSettings = field(default_factory=PidSettings)
     """Gains set by hand."""
     feed_forward: FeedForward = "planned"
-    """Source of the openings added to those of the PIDs in a swing, see `bench.control.law.feed_forward`."""
+    """Source of the valve commands added to the PIDs in a swing, see `bench.control.law.feed_forward`."""
     force_gain: NotNegativeTriple = (20.0, 10.0, 20.0)
     """Rate at which "kane+pneumatic" corrects the force error of the chambers, 1/s."""
     damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
-    """Opening per rad/s2 against the estimated acceleration's error, set by hand; 0 switches it off."""
+    """Valve command per rad/s2 of acceleration error, set by hand; 0 switches it off."""
     downswing_damping: Share = 0.0
     """Share of `damping` in the downswing. Noise of the estimated acceleration there changes the club's speed
     a little from swing to swing."""
@@ -102,23 +102,23 @@ class ControlSettings:
     """Factor on the PIDs' proportional and derivative gains in the downswing, which ends before what would
     grow with them has grown."""
     dither: tuple[Share, Share, Share] = (0.1, 0.1, 0.1)
-    """Dither amplitude in backswing and top, as an opening. It carries spools through their dead band and
+    """Dither amplitude in backswing and top, a valve command. It carries spools through their dead band and
     joints through dry friction, so that every downswing starts in the same pose with the same pressures."""
     dither_period: Positive = 0.03
     """Period of the dither (s)."""
     dither_delay: NotNegative = 0.25
     """Delay from the start of a swing (s): by then the club is away from the ball."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
-    """Opening per rad/s of reference speed in slow moves, set by hand."""
+    """Valve command per rad/s of reference speed in slow moves, set by hand."""
     brake_gain: NotNegativeTriple = (0.170, 0.065, 0.093)
-    """Opening per rad/s against the motion in BRAKE; found with `golfbench profile check`."""
+    """Valve command per rad/s against the motion in BRAKE; found with `golfbench profile check`."""
     brake_damping: NotNegativeTriple = (0.0035, 0.0002, 0.00012)
-    """Opening per rad/s2 against the motion in BRAKE."""
+    """Valve command per rad/s2 against the motion in BRAKE."""
     brake_fade_speed: PositiveTriple = (1.2, 1.0, 1.5)
     """Speed below which BRAKE eases off, rad/s."""
     turf_lift_gain: NotNegative = 6.0
-    """Opening per rad by which the follow-through pulls the right arm in on turf or a mat, until a straight
-    club passes above the ground; found with `golfbench --config bag profile check`."""
+    """Valve command per rad by which the follow-through pulls the right arm in on turf or a mat, until a
+    straight club passes above the ground; found with `golfbench --config bag profile check`."""
     rest_speed: PositiveTriple = (0.05, 0.05, 0.10)
     """Speed below which a joint rests (rad/s)."""
     rest_time: Positive = 0.05
@@ -130,9 +130,9 @@ class ControlSettings:
     precharge_time: Positive = 2.0
     """Duration of soft start and precharge before the first move (s)."""
     precharge_opening: Annotated[float, Above(0), AtMost(1)] = 0.12
-    """Amplitude of the alternating opening during precharge."""
+    """Amplitude of the alternating valve command during precharge."""
     precharge_period: Positive = 0.02
-    """Time between two reversals of the opening during precharge (s)."""
+    """Time between two reversals during precharge (s)."""
     move_speed: PositiveTriple = (1.2, 0.6, 1.5)
     """Greatest speed of slow moves, rad/s."""
     move_timeout: Positive = 6.0
@@ -172,11 +172,11 @@ class LifecycleSettings:
     local_reset: bool = False
     """Reset and secure also need a press of the button at the robot; required with a real robot."""
     local_reset_time: Positive = 10.0
-    """How long a press of it counts for one reset or secure, s."""
+    """Validity of a press of the button for one reset or secure (s)."""
     hold_between_swings: bool = False
     """Whether the robot holds the address after a swing, instead of venting."""
     supervisor_timeout: Positive = 0.5
-    """Silence of the supervisor that counts as its death, s."""
+    """Timeout of the supervisor heartbeat (s)."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class HomingSettings:
     speed: PositiveTriple = (0.3, 0.2, 0.4)
     """Speed of the search (rad/s)."""
     opening: Annotated[float, Above(0), AtMost(0.5)] = 0.15
-    """Greatest valve opening of the search."""
+    """Max valve command of the search."""
     timeout: Positive = 60.0
     """Timeout of search and stops together (s)."""
 
@@ -291,11 +291,11 @@ class EnvelopeSettings:
     min_deceleration: PositiveTriple = (60.0, 15.0, 150.0)
     """Deceleration that braking can count on: rad/s2, m/s2, rad/s2."""
     end_stop_max_speed: PositiveTriple = (9.0, 5.2, 34.0)
-    """Speed at the end of the range that the cushion alone takes: rad/s, m/s, rad/s."""
+    """Speed at the end of the range that the absorber alone stops: rad/s, m/s, rad/s."""
     max_opening: Annotated[float, Above(0), AtMost(1)] = 1.0
-    """Max opening of a valve."""
+    """Max valve command."""
     max_slew: Positive = 400.0
-    """Change of opening per second."""
+    """Max slew rate of a valve command (1/s)."""
     encoder_timeout: Positive = 0.0045
     """Time without a fresh reading after which an encoder is lost, s; five ticks at 1 kHz."""
     max_tick_interval: Positive = 0.010
@@ -320,7 +320,7 @@ class EnvelopeSettings:
     min_lever: Annotated[float, AtLeast(0), AtMost(1)] = 0.15
     """Min |sin beta| of the wrist's lever (thesis figure 11)."""
     absorber_travel_fraction: Annotated[float, AtLeast(0), AtMost(1)] = 0.9
-    """Share of the cushions' travel that counts as working range in the range check."""
+    """Fraction of the absorber travel that counts as working range in the range check."""
     model: ModelSettings = field(default_factory=ModelSettings)
 
     def clearance_by_ball(self, site: Site) -> float:
@@ -446,7 +446,7 @@ def for_learning(parameters: ControlParameters, settings: ModelSettings) -> Cont
 
 
 def angle_travel(plant: PlantParameters) -> tuple[_Span, _Span, _Span]:
-    """Return each joint's travel (rad) with its cushions, for the encoders' unwrapping."""
+    """Return each joint's travel (rad) including its absorbers, to unwrap the encoder counts."""
     shoulder, _, wrist = plant.actuators
     return (
         (shoulder.lower - 2 * shoulder.stop.travel, shoulder.upper + 2 * shoulder.stop.travel),

@@ -45,10 +45,10 @@ CONTROL_PARAMETERS = np.dtype(
     ],
     align=True,
 )
-"""Gains and times. `downswing_damping` is the share of the damping left in the downswing, `dither` swings the
-spools around their openings up to the top. `feed_forward` is a code of `bench.control.law.feed_forward`,
-`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that overcome the
-dead bands of the spools in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
+"""Gains and times. `downswing_damping` is the fraction of the damping left in the downswing, `dither` the
+amplitude of the dither up to the top. `feed_forward` is a code of `bench.control.law.feed_forward`,
+`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the valve commands that overcome the
+dead bands in slow moves; `brake_gain`, `brake_damping` are gains of the BRAKE law."""
 
 
 def _nested(*members: tuple[Any, ...]) -> np.dtype[Any]:

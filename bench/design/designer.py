@@ -69,7 +69,7 @@ Progress = Callable[[str, float], None]
 BEFORE_CONTACT = 3
 """Ticks of the impact window before the planned contact."""
 _SILENCES = (0.01, 0.02, 0.03, 0.045, 0.06)
-"""Times before the ball at which the bench may fall silent, s."""
+"""Times of loss of communication before the ball (s)."""
 _INTERVALS = 40
 """Collocation intervals of the downswing."""
 _CORRECTED = 0.02, 0.06
@@ -94,8 +94,8 @@ _COCKED, _OFF_THE_STOP = radians(65.0), radians(15.0)
 _UPRIGHT, _LEADING = 0.026, 0.175
 """Max lean either way of a shaft at a ball on a tee, and with leading hands at one on turf, rad."""
 _BROUGHT = (1.2, 0.65)
-"""Initial shares of their cushions' rated energies that right arm and wrist may bring: the wrist's cushion
-also takes the energy that the arm's passes on."""
+"""Initial fractions of the absorbers' rated energies that right arm and wrist may bring: the wrist's absorber
+also takes the energy that the arm's absorber passes on."""
 
 
 class DesignFailed(RuntimeError):
@@ -339,9 +339,9 @@ def _concessions(parameters: PlantParameters, demand: SwingDemand) -> Concession
 
 
 def _openings(plan: DownswingPlan, shooter: Shooter, pid: NDArray[Any], highest: float) -> Array:
-    """Return openings tick by tick, and on past the ball, with which the plant keeps near the plan.
+    """Return valve commands per tick, until after the ball, with which the plant stays near the plan.
 
-    They are the plan's, early by the spools' lag, with the loop's own feedback on its joints.
+    They are the planned commands, advanced by the spool lag, plus the feedback of the control loop.
     """
     valve, period = shooter.plant.parameters.shoulder.valve, shooter.plant.parameters.tick
     lag = 2 * valve.damping_ratio / valve.natural_frequency
@@ -370,7 +370,7 @@ def _delivered(state: NDArray[Any], parameters: PlantParameters) -> Array:
 
 
 def _loads(trial: ShootingTrial, parameters: PlantParameters, demand: SwingDemand) -> Array:
-    """Return the energies of the upper cushions of right arm and wrist above their limits, J."""
+    """Return the excess energies of the upper absorbers of right arm and wrist over their limits (J)."""
     ratings = np.array([a.stop.energy for a in parameters.actuators])
     worst = np.maximum(trial.missed_energy, trial.silent_energy.max(axis=0))[:, 1]
     struck = trial.struck_energy[:, 1] - demand.struck_share * ratings
@@ -403,10 +403,10 @@ def _initial_guess(
 def design_downswing(
     bench: SimulatedBench, demand: SwingDemand, start: Profile | None, begun: _Start, progress: Progress
 ) -> Downswing:
-    """Return a downswing whose openings meet `demand` on the plant.
+    """Return a downswing whose valve commands meet `demand` on the plant.
 
     Raises:
-        DesignFailed: no plan that the plant can follow within its cushions.
+        DesignFailed: no plan that the plant can follow within the ratings of its absorbers.
     """
     parameters = bench.plant
     state = _model_state(begun)
@@ -447,7 +447,7 @@ def design_downswing(
         if over.max() <= 0.0 and min(short, gained) < _SHORT:
             break
         reason = (
-            f"the cushions of right arm and wrist would be {over[0]:+.1f} and {over[1]:+.1f} J "
+            f"the absorber energies of right arm and wrist would be {over[0]:+.1f} and {over[1]:+.1f} J "
             "above their limits when the ball is missed"
         )
         brought = np.minimum(problem.cushions, plan.carried)
@@ -504,7 +504,10 @@ class _Cushions(NamedTuple):
         return _Cushions(np.where(broke, self.held, pair), np.where(broke, pair, self.broke))
 
     def next(self, brought: Array, over: Array) -> Array:
-        """Return the energies that the next plan may bring, (2,) J."""
+        """Return the energies (2,) that the next plan may bring to the absorbers (J).
+
+        `brought` are the energies in the latest plan, `over` their excess over the limits on the plant (J).
+        """
         # The excess of one cushion must come from the other one or the shoulder.
         step = brought - np.where(over > 0, over + 0.3, np.maximum(over, -6.0) / 2)
         low, high = self.held[:, 0], self.broke[:, 0]
@@ -530,7 +533,7 @@ def plan_at_speed(configuration: Configuration, demand: SwingDemand, start: Prof
 def fastest_plan(configuration: Configuration, demand: SwingDemand) -> DownswingPlan:
     """Return the fastest downswing of the model within `demand`, by collocation alone, solved or not.
 
-    The plant is not asked whether it can follow, nor what its cushions take: seconds instead of minutes.
+    Tracking and absorber loads on the plant are not checked: seconds instead of minutes.
 
     Raises:
         BenchError: the package casadi is not installed.

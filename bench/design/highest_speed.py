@@ -55,11 +55,11 @@ class DownswingStudy:
 def highest_speed(
     study: DownswingStudy, engine: Engine, progress: Callable[[str], None] = lambda what: None
 ) -> HighestSpeed:
-    """Return the fastest downswing within the demand that the plant follows within its cushions.
+    """Return the fastest downswing within the demand that the plant follows within its absorber limits.
 
     The fastest plan is only a start, or the speed of the swing that the search starts from, if the plant does
-    not follow that plan. With cushions that must hold when the ball is missed, faster ones are found by
-    demanding them, until half a m/s more fails. `progress` gets the speeds that are tried.
+    not follow that plan. If the absorbers must also hold with a missed ball, the required speed is
+    raised until half a m/s more fails. `progress` gets the speeds that are tried.
 
     Raises:
         BenchError: the package casadi is not installed.

@@ -96,7 +96,7 @@ class Equations(NamedTuple):
     extension: Any
     """q -> rod extension, m."""
     carried: Any
-    """state -> energy of right arm and wrist at their upper stops, J: joint motion and work of its air."""
+    """state -> energy of right arm and wrist at their upper stops: kinetic, and work of the pressures (J)."""
 
 
 def _positive(value: Expression, width: float) -> Expression:
@@ -296,9 +296,9 @@ class SwingDemand:
     margin: float = 0.15
     """Share of each valve that is left to feedback."""
     struck_share: float = 0.8
-    """Max share of the cushions' rated energy when the ball is struck."""
+    """Max fraction of the absorbers' rated energy when the ball is struck."""
     missed_share: float = 0.97
-    """Max share when it is missed or the bench falls silent."""
+    """Max fraction with a missed ball or after loss of communication."""
     backswing_time: float = 0.85
     top_time: float = 0.25
     downswing_time: tuple[float, float] = (0.15, 0.25)
@@ -353,7 +353,7 @@ class DownswingProblem:
     committed: float
     """Time before the ball from which on stopping before the end stops is not required, s."""
     cushions: tuple[float, float]
-    """Max energy of the upper cushions of right arm and wrist when the ball is missed, J."""
+    """Max energy in the upper absorbers of right arm and wrist when the ball is missed (J)."""
     concessions: Concessions = NO_CONCESSIONS
 
     @property
@@ -376,7 +376,7 @@ class DownswingPlan(NamedTuple):
     binding: dict[str, float]
     """Head speed gained for one per cent more of each limit (m/s); at a demanded speed at equal effort."""
     carried: Array
-    """Energies that the model brings to the upper cushions of right arm and wrist, (2,) J."""
+    """Energies (2,) that the model brings to the upper absorbers of right arm and wrist (J)."""
 
 
 def solve_downswing(

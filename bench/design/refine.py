@@ -196,7 +196,7 @@ AFTER_CONTACT = 5
 """Ticks for which the openings continue after impact before the braking law takes over."""
 _FOLLOWED = 0.25
 _SILENT_FOR = 0.12
-"""Time for which a trial follows braking and silence, s: by then the cushions have taken their load."""
+"""Simulated time after loss of communication (s): by then the absorbers have taken their load."""
 _BELOW = -0.9
 """Height of the head (m) below which passing the ball's place counts."""
 
@@ -217,7 +217,7 @@ class ShootingTrial(NamedTuple):
     """Outcome of one trial."""
 
     contact: int
-    """Tick in which the head passes the ball; the number of openings if it does not."""
+    """Tick in which the head passes the ball; the number of valve commands if it does not."""
     struck: bool
     head: Array
     """x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s) there."""
@@ -226,7 +226,7 @@ class ShootingTrial(NamedTuple):
     speed: Array
     """(contact, 3) rad/s."""
     struck_energy: Array
-    """(3, 2) J, lower and upper cushions."""
+    """Energies (3, 2) in lower and upper absorbers (J)."""
     missed_energy: Array
     silent_energy: Array
     """(m, 3, 2) J."""
@@ -359,7 +359,7 @@ class Shooter:
         return _passing(states[last], states[last + 1], self.plant)
 
     def shoot(self, valve: Array) -> ShootingTrial:
-        """Play openings `valve` (n, 3), one row per tick, with each continuation: struck, missed, silent."""
+        """Apply the commands `valve` (n, 3); continue with each: struck, missed, communication lost."""
         records, period = self.plant.records, self.plant.parameters.tick
         states, command, contact = self._down(valve)
         followed, quiet = round(_FOLLOWED / period), round(_SILENT_FOR / period)
@@ -417,7 +417,7 @@ _THREADS = 2
 UNITS = np.array([1e-4, 5e-4, 0.01, 0.01, 0.3])
 """Errors of strike (m), shaft (rad), head velocity (m/s) and turning (rad/s) that count as one."""
 _MET = 4
-"""How many of them must be below one: the shaft's turning is not required, the cushions are checked later."""
+"""Number of errors that must be below one: shaft rotation is not required, absorbers are checked later."""
 NEAR = 10.0
 """Remaining error that is still accepted: the closed loop corrects the aim later."""
 _STAY = 0.3

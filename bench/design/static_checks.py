@@ -236,7 +236,7 @@ def _beyond(actuator: Actuator, position: Array) -> Array:
 
 
 def _range(plan: MachineSwing) -> Check:
-    """Check the end stops: within the envelope's share of the cushion and its rated energy."""
+    """Check the end stops: travel and energy within the envelope's limits for the absorber."""
     share, faults, texts, ratings = plan.envelope.absorber_travel_fraction, [], [], []
     for i, actuator in enumerate(plan.plant.actuators):
         position, unit, stop = plan.motion.position[:, i], _POSITION[i], actuator.stop
@@ -249,12 +249,12 @@ def _range(plan: MachineSwing) -> Check:
             low, high = actuator.lower - share * stop.travel, actuator.upper + share * stop.travel
             found = f"{position[k]:.4f} {unit}: the swing hits an end stop"
             key = ACTUATOR_KEYS[i]
-            wanted = f"{low:.4f} to {high:.4f} {unit}, plant.{key} with {share:.0%} of its cushions"
+            wanted = f"{low:.4f} to {high:.4f} {unit}, plant.{key} with {share:.0%} of its absorbers"
             action = "Choose a profile made for these stops, or correct the range."
             faults.append(plan.row(("angle_rad", k, i), found, wanted, action))
         elif energy > stop.rating:
             found, wanted = f"{energy:.0f} J into an end stop", f"at most {stop.rating:g} J"
-            action = f"Arrive more slowly; plant.{ACTUATOR_KEYS[i]}.stop has the cushion's rating."
+            action = f"Arrive more slowly; plant.{ACTUATOR_KEYS[i]}.stop has the absorber's rating."
             faults.append(plan.row(("angle_rad", k, i), found, wanted, action))
         texts.append(f"{energy:.0f}")
         ratings.append(f"{stop.rating:g}")

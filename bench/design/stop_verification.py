@@ -88,7 +88,7 @@ class TrialOutcome:
     clearance: float
     """Lowest clearance of the head over the ground, m."""
     head_speed: float
-    """Fastest head, m/s."""
+    """Max head speed (m/s)."""
     rest_time: float
     """Time from the fault until all joints rested (s); inf if they did not."""
     cause: Cause

@@ -141,7 +141,7 @@ class DrawnRobots:
 def _drawn(
     study: Study[int, HealthyRun | None], draws: int, engine: Engine, progress: Callable[[float], None]
 ) -> list[HealthyRun]:
-    """Return the runs of `draws` robots that reach their address, of a third more drawn at most."""
+    """Return the runs of `draws` robots that reach their address; at most a third more are sampled."""
     runs = list[HealthyRun]()
     seed, last = FIRST_SEED, FIRST_SEED + draws + draws // 3
     while len(runs) < draws and seed < last:

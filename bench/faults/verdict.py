@@ -40,12 +40,12 @@ class CaseOutcome:
     """-1: never."""
     reaction: str
     reaction_ticks: int
-    """Until the first command at the valve that carries the reaction; -1: no reaction."""
+    """Time until the first command of the reaction reaches a valve; -1: no reaction."""
     stop_share: float
     stop: str
     pressure_share: float
     overtravel: float
-    """Share of a cushion's travel that was pressed in."""
+    """Max compression of an absorber, as a fraction of its travel."""
     clearance: float
     """Lowest of the head over the ground, m."""
     head_share: float
@@ -147,7 +147,7 @@ _EVENT_CAUSES: dict[Event, Cause] = {
 
 
 def _own_cause(breakage: Breakage) -> Cause:
-    """Return the cause that the case itself brings about: to latch it is no detection of the fault."""
+    """Return the cause that the case provokes on purpose; latching it does not count as detection."""
     if breakage.event == "stop" or breakage.family == "during a stop":
         return _EVENT_CAUSES[breakage.event]
     return Cause.NONE

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 PATH_SPACING = 0.005
 """Time between the instants of the downswing at which the path is compared, s."""
 _STEP = 0.1
-"""Step of a weight."""
+"""Step of a weight in the difference quotients."""
 _AFTER = 0.03
 """Time after the planned contact for which a swing is followed, s."""
 
@@ -148,7 +148,7 @@ _PATH_SCALE = 0.01
 _EFFORT = 0.2
 """Cost of one weight."""
 RADIUS, _MIN_RADIUS, _MAX_RADIUS = 1.5, 0.1, 3.0
-"""Max norm of the first step of the weights, and of any step."""
+"""Max norm of a step of the weights (trust radius): initial, smallest, largest."""
 _SCATTER: Four = (0.3, 0.4, 0.2, 0.2)
 """Standard deviation between nominally equal swings in strike, speed, lean and attack, in tolerances."""
 _PATH_SCATTER = 0.003
@@ -332,7 +332,7 @@ class LearningResult(NamedTuple):
 
     problem: LearningProblem
     attempts: tuple[Attempt, ...]
-    """The first is the swing before learning."""
+    """Attempts in order; the first is the swing before learning."""
     chosen: int
     """The attempt whose correction is kept."""
     weights: Array

@@ -109,7 +109,7 @@ class LiveSwinger:
             return ObservedSwing(cycles, UNKNOWN, cause), True
         if missing[profile.begins[3] : profile.begins[6] + 1].any():
             return ObservedSwing(cycles, UNKNOWN, cause), False
-        # The record's calibration, with the model's masses and friction.
+        # Calibration from the record; masses and friction from the model.
         encoders = plant_of(metadata, str(record.path))[0].encoders
         plant = replace(self._problem.bench.model, encoders=encoders)
         mark = self._ask_mark() if self._source == "impact-marks" else None

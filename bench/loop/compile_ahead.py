@@ -86,7 +86,7 @@ def compile_rest() -> None:
 
 
 def compile_decision() -> None:
-    """Compile the decision, unless it is on disk; other processes that need it wait for the first."""
+    """Compile the decision, unless its machine code is on disk; other processes wait for the first."""
     import fcntl  # here, for this module is imported on systems without it too
 
     folder = cache_folder()

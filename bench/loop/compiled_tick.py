@@ -48,7 +48,7 @@ Array = np.ndarray[Any, Any]
 
 
 AT_READ, AT_DECIDE, AT_WRITE, AT_NOTE_TRUTH, AT_PUBLISH, OVER = range(6)
-"""Stages at which a tick starts or continues; the second is to estimate, decide and limit."""
+"""Stages at which a tick starts or continues; AT_DECIDE covers estimate, decide and limit."""
 
 _NUMBER = np.dtype(np.float64)
 _TYPES: tuple[np.dtype[Any], ...] = (
@@ -203,7 +203,7 @@ def _think(a: Any, marks: Any, clock: int, time: float) -> None:
 
 
 class CompiledTick:
-    """Runs ticks on the records it was made with; holds them, as it knows their addresses."""
+    """Runs ticks on the given records; holds references to them, as it uses their addresses."""
 
     def __init__(
         self,

@@ -69,7 +69,7 @@ class LeaseStatus(TypedDict):
     holder: str
     seconds_left: float
     lapsing: bool
-    """Whether it lapses soon unless it is renewed; an armed bench then disarms."""
+    """Whether the lease expires soon unless renewed; an armed bench then disarms."""
 
 
 class ProcessStatus(TypedDict):
@@ -103,7 +103,7 @@ class CountStatus(TypedDict):
     """Messages to the command plane since its start, by outcome."""
 
     commands: int
-    """Answered with accepted."""
+    """Messages answered with `accepted`."""
     refused: int
     """Well formed, answered with refused; also if the bench is busy."""
     malformed: int
@@ -183,7 +183,7 @@ class SettingStatus(TypedDict):
     action: NotRequired[str]
     """Action to get it granted."""
     required: NotRequired[bool]
-    """Whether mode `require` needs it; the others only reduce jitter."""
+    """Whether mode `require` needs the setting; other settings only reduce jitter."""
 
 
 class RealTimeStatus(TypedDict):
@@ -202,7 +202,7 @@ class StopStatus(TypedDict):
     cause: str
     text: NotRequired[str]
     state: NotRequired[str]
-    """State in which it happened."""
+    """State in which the stop occurred."""
     phase: NotRequired[str]
     time_utc: NotRequired[str]
     """Time of the stop, ISO 8601; missing if only the start of its run is known."""
@@ -219,7 +219,7 @@ class BenchStatus(TypedDict):
     phase: Annotated[str, Phase]
     reaction: Annotated[str, Reaction]
     cause: CauseStatus | None
-    """First cause of a stop, or why it was disarmed since it last moved."""
+    """First cause of a stop, or cause of disarming since the last motion."""
     latest_cause: CauseStatus | None
     """Newest cause found after it; None without one."""
     homed: bool
@@ -242,7 +242,7 @@ class BenchStatus(TypedDict):
     readiness_warnings: list[str]
     """Properties of configuration, calibrations and profile that do not block arming."""
     series: bool
-    """Whether it holds the address after a swing for the next one; otherwise it vents."""
+    """Whether the robot holds the address between swings; otherwise it vents."""
     joints_deg: Annotated[list[float | None], Count(3)]
     """Three, in the order of `drivers.base.JOINTS`."""
     supply_pressure_pa: float | None

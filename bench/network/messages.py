@@ -70,7 +70,7 @@ class LeaseEvent(TypedDict):
     """Time of the message on the supervisor's clock (CLOCK_MONOTONIC), s."""
     holder: str
     seconds_left: NotRequired[float]
-    """Until it lapses, s."""
+    """Time until the lease expires (s)."""
 
 
 class FaultEvent(TypedDict):

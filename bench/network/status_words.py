@@ -135,7 +135,7 @@ class StatusCondition(NamedTuple):
     text: str
     """Words for its present state."""
     holds: bool
-    """Whether it is as it must be to move."""
+    """Whether the condition permits motion."""
 
 
 def robot_conditions(status: BenchStatus) -> list[StatusCondition]:

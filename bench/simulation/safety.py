@@ -26,7 +26,7 @@ def reset_peaks(plant_state: NDArray[Any]) -> None:
 
 
 def stop_shares(energy: Array, plant: PlantParameters) -> Array:
-    """Return cushion energies (..., 3, 2) J as shares of the ratings; 1 is the limit."""
+    """Return absorber energies (..., 3, 2) J as fractions of the ratings; 1 is the limit."""
     return np.asarray(energy / np.array([[actuator.stop.rating] for actuator in plant.actuators]))
 
 
@@ -41,7 +41,7 @@ class Loads:
     """Extremes of a run since `reset_peaks`; shares are of the ratings, 1 is the limit."""
 
     stop_energy: Array
-    """Max energy taken by each cushion, (3, 2) J: lower and upper end of shoulder, right arm, wrist."""
+    """Max energy (3, 2) in each absorber, lower and upper end of shoulder, right arm, wrist (J)."""
     peak_pressure: Array
     """(6,) Pa absolute in the order of drivers.base.CHAMBERS."""
     lowest_clearance: float
@@ -49,11 +49,11 @@ class Loads:
     peak_head_speed: float
     """Peak head speed (m/s)."""
     stop_share: float
-    """Energy of the most loaded cushion."""
+    """Energy of the most loaded absorber."""
     stop: str
-    """Name of the most loaded cushion."""
+    """Name of the most loaded absorber."""
     depth_share: float
-    """Share of a cushion's travel that was pressed in."""
+    """Max compression of an absorber, as a fraction of its travel."""
     pressure_share: float
     """Pressure of the most loaded chamber."""
     divot: float = 0.0
@@ -84,7 +84,7 @@ class SafetyLimits:
     """Limits beyond which a run is unsafe."""
 
     load_share: float = 1.0
-    """Share of a cushion's rated energy and of a chamber's rated pressure."""
+    """Max fraction of an absorber's rated energy and of a chamber's rated pressure."""
     ground_touch: float = 0.005
     """Depth to which the turf may be pressed, m: a club that sinks to the ground while the air leaves touches
     it at up to about 2 m/s, which the ground's stiffness turns into this depth. A site's divot adds to it."""

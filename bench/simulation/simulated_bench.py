@@ -365,7 +365,7 @@ class ArmingFailed(Refused):
 
 
 def return_failed(refused: Refused, swing: SeriesSwing) -> ReturnFailed:
-    """Return `refused` after `swing`."""
+    """Return the error that the robot did not return after `swing`, with the text of `refused`."""
     error = ReturnFailed(*refused.args)
     error.swing = swing
     return error

@@ -41,7 +41,7 @@ def never() -> bool:
 
 
 class SwingOperator(Generic[AnyStepper]):
-    """A bench that is switched on, and who operates it."""
+    """A bench that is switched on, and its simulated operator."""
 
     def __init__(
         self, stepper: AnyStepper, *, look: int = 10, stop: Callable[[], bool] = never, name: str = ""

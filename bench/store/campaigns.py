@@ -347,9 +347,9 @@ class CampaignStore:
     def _write(self, work: Callable[[Connection], _Answer]) -> _Answer:
         """Do `work` in one transaction that takes the write lock at once, and return its answer.
 
-        If its connection is lost, it is repeated when the store waits for its database. A commit whose answer
-        alone was lost has left the number of this write, so nothing is stored twice. Who does not wait does
-        not repeat, and leaves no number.
+        If the connection is lost, `work` is repeated, provided that `waiting` is set. A commit of which only
+        the answer was lost has stored the number of this write, so nothing is stored twice. Without `waiting`
+        there is no repetition, and no number.
         """
         self._writes += 1
         answers: list[_Answer] = []

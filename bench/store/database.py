@@ -212,7 +212,7 @@ class DatabaseLocked(Refused):
 
 
 class DatabaseAway(DatabaseLocked):
-    """The database's server is not there, for longer than the time that was waited."""
+    """The database's server is unreachable for longer than the waiting time."""
 
     exit_code = ExitCode.DEVICE
     state = "out of reach"
@@ -372,7 +372,7 @@ def _fault_of(error: DatabaseError, location: str, *, read_only: bool) -> BenchE
         action = f"Restore a copy of it, save its rows by sqlite3 {location} .recover, or set bench.database."
     elif read_only and _log_of(Path(location)).exists():
         found = f"{found}: read-only, with changes in {_log_of(Path(location)).name}"
-        expected = "a database that was closed, or one that can be written"
+        expected = "a database that was closed cleanly, or write access to it"
         action = "Copy its folder to a disk that can be written, and read it there."
         is_file_fault = False
     fault = BenchError(location, found, expected, action)

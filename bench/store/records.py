@@ -117,7 +117,7 @@ class ShotNote(NamedTuple):
 
 
 class ShotExclusion(NamedTuple):
-    """A person's exclusion of a shot, or its taking back."""
+    """A person's exclusion of a shot, or its withdrawal."""
 
     shot: int
     date: datetime

@@ -143,7 +143,7 @@ class Daemon:
         self._explain: Callable[[str], str] = lambda fault: ""
         """Explains the last stop by the device's fault, which may be known later."""
         self._disarmed = Cause.NONE
-        """Why the robot was disarmed since it last moved."""
+        """Cause of disarming since the last motion."""
         self._lease: LeaseStatus | None = None
         """Lease as last reported."""
         self._ending = False

@@ -175,7 +175,7 @@ class _Item(NamedTuple):
     """Reads back the value in force and whether it is the requested one."""
     action: str
     required: bool = True
-    """Whether mode `require` needs it; the others only reduce jitter."""
+    """Whether mode `require` needs the setting; other settings only reduce jitter."""
 
 
 @contextmanager

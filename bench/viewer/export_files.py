@@ -49,7 +49,7 @@ from bench.records.telemetry.recorder import SwingRecord
 
 
 class Change(NamedTuple):
-    """A cycle that differs from the one before."""
+    """A cycle whose state, phase, reaction or cause differs from that of the cycle before."""
 
     row: int
     cause: Cause

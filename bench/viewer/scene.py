@@ -130,7 +130,7 @@ def chamber_pressure(cycles: Cycles) -> Array:
 
 
 def efforts(cycles: Cycles, plant: PlantParameters) -> Array:
-    """Return the air's efforts (n, 3) N m, N, N m from the chambers' pressures; NaN where none are known."""
+    """Return the actuator efforts (n, 3) from chamber pressures (N m, N, N m); NaN for unknown pressures."""
     pressure = chamber_pressure(cycles)
     air = plant.supply.atmosphere
     forces = np.stack(

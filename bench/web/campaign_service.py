@@ -308,7 +308,7 @@ class CampaignService:
                 raise UnknownName("request")
         asked.once(fresh=name == "resume")  # the robot moves then
         data_dir = self._archive.data_dir
-        state = self._archive.state(campaign)  # refuses an unknown name before any file is looked at
+        state = self._archive.state(campaign)  # raises for an unknown campaign, before other files
         if name == "resume" and not is_running(data_dir, campaign):
             if state in ENDED:
                 expected, action = "an unfinished campaign", "Begin a new one."

@@ -72,7 +72,7 @@ class Command(NamedTuple):
     """One set of outputs. The default is the passive command: everything without energy."""
 
     valve: Triple = (0.0, 0.0, 0.0)
-    """Spool openings -1..1; 0 is the centre (closed), +1 fills chamber A and exhausts B."""
+    """Valve commands -1..1; 0 is the centre (closed), +1 fills chamber A and exhausts B."""
     supply_enable: bool = False
     """True opens the soft-start supply valve, and the shut-off valve unless the guard's lock is released;
     False shuts both and exhausts the manifold."""

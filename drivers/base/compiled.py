@@ -20,7 +20,7 @@ try:
     IS_PLAIN = bool(int(os.environ.get(PLAIN) or 0))
 except ValueError:
     IS_PLAIN = False  # as numba reads it
-"""Whether this process does; it does not import numba for `compiled`, which takes 70 MB of it."""
+"""Whether this process runs plain Python; `compiled` then does not import numba, which takes 70 MB."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

@@ -1,9 +1,9 @@
 """How compiled code uses addresses: native functions, access, order of loads and stores, calls, the clock.
 
-Native functions are C functions by address, through which a compiled tick calls a driver or publisher. One
-takes the address of its block of memory, two addresses of records and the time (s), and returns a word. One
-that returns DECLINED has done nothing: the caller then runs the Python code, which handles every case and
-raises any error. Both give bit-identical results.
+Native functions are C functions by address, through which a compiled tick calls a driver or publisher. A
+native function takes the address of its block of memory, two addresses of records and the time (s), and
+returns an integer. If it returns DECLINED, it has done nothing: the caller then runs the Python code, which
+handles every case and raises any error. Both give bit-identical results.
 
 Nothing here checks an address: a caller holds the arrays that it gives the addresses of.
 """

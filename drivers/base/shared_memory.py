@@ -153,7 +153,7 @@ class MappedSlots:
 
     @property
     def words(self) -> memoryview[Any]:
-        """The file as words; only until it is closed."""
+        """Content of the file as 64-bit words; valid until the file is closed."""
         return self._words
 
     @property

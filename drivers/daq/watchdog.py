@@ -118,7 +118,7 @@ class CardWatchdog:
         while not self._task.expired:
             if clock() > end:
                 raise DriverError(
-                    f"daq: watchdog: not tripped after {self._timeout + _MARGIN:g} s of silence, "
+                    f"daq: watchdog: not tripped after {self._timeout + _MARGIN:g} s without a command, "
                     f"expected it to trip after {self._timeout:g} s; use another card or fit an external "
                     "watchdog relay"
                 )

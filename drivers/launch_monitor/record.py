@@ -43,7 +43,7 @@ class ClubRecord(NamedTuple):
     """Club figures of a message without a ball: never a launch, but part of one."""
 
     time: float
-    """Time of its last byte, s (CLOCK_MONOTONIC)."""
+    """Time of the message's last byte, CLOCK_MONOTONIC (s)."""
     device: str
     club: ClubFigures
     absent: tuple[tuple[str, str], ...] = ()
@@ -54,7 +54,7 @@ class RefusedRecord(NamedTuple):
     """A message that was refused."""
 
     time: float
-    """Time of its last byte, s (CLOCK_MONOTONIC)."""
+    """Time of the message's last byte, CLOCK_MONOTONIC (s)."""
     reason: str
 
 
@@ -63,7 +63,7 @@ class LaunchRecord:
     """One shot of a monitor; the five figures have the signs and units of `drivers.base.Launch`."""
 
     time: float
-    """Time of its last byte, s (CLOCK_MONOTONIC)."""
+    """Time of the message's last byte, CLOCK_MONOTONIC (s)."""
     device: str
     number: int | None
     """Shot number of the device; it may restart."""

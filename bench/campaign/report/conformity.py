@@ -62,7 +62,7 @@ class RuleFinding:
     coverage: float | None
     decision: Decision
     reason: str
-    """Why it was not judged; else what limits the decision, or empty."""
+    """Reason for a missing assessment, or limitation of the decision; empty without one."""
     confidence: str
     source: str
 

@@ -39,7 +39,7 @@ class Outlook:
     blocks: int
     dof: float
     alpha: float
-    """Error level of each pair, so that all pairs together keep the confidence."""
+    """Significance level of each pair, at which all pairs together keep the confidence."""
     power: float | None
     """Power to find the difference worth finding, in one pair."""
     resolution: float | None

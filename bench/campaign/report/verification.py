@@ -36,7 +36,7 @@ _TOLERANCE = 1e-9
 """Share by which a figure may differ: libraries of another machine round differently."""
 _DATA = re.compile(r'<script type="application/json" id="record">(.*?)</script>', re.DOTALL)
 _TODAY = re.compile(r"<section data-today>.*?</section>", re.DOTALL)
-"""Parts of a page that count on after the campaign, as the wear of the bench's parts."""
+"""Sections of a page that change after the campaign, such as the wear of the bench's parts."""
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,7 @@ def require_live(
         raise Refused(
             f"{location}: design.swings and design.clubs",
             f"{', '.join(wanted)}",
-            f"among them profile {status['profile']} with club {status['club']}, which bench "
-            f"{status['bench']} swings",
+            f"profile {status['profile']} with club {status['club']}, as loaded on bench {status['bench']}",
             "Start the bench with that profile (golfbench run --profile) and club ([swing] club).",
         )
     if status["driver"] == "sim":

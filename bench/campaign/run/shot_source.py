@@ -34,7 +34,7 @@ class BlockingCondition(NamedTuple):
 
     text: str
     armed: bool = False
-    """Whether only an armed bench, resting at its address, sees it pass."""
+    """Whether only an armed bench at rest at its address can detect the end of the condition."""
     timeout: float = inf
     """Max waiting time, s; then a person is needed."""
 
@@ -65,7 +65,7 @@ class MonitorResult(NamedTuple):
 
     launch: LaunchRecord | None = None
     reason: str = ""
-    """Why its figures are missing or invalid; empty if they are valid, or no ball was struck."""
+    """Reason for missing or invalid values; empty for valid ones or without a struck ball."""
 
 
 def shot_row(

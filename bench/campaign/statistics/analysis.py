@@ -70,7 +70,7 @@ class Level:
     excluded: int
     failed: int
     reasons: dict[str, int]
-    """Number of shots by reason that they are not valid."""
+    """Number of invalid shots by reason."""
     spread: Spread
 
 
@@ -99,7 +99,7 @@ class Pair:
     balls: int
     """Balls of the level with fewer; mountings in a split-plot; 0 where neither is known."""
     models: bool
-    """Whether it holds for the models; else for these specimens only: one ball of a level, or clubs."""
+    """Whether the comparison holds for the models; otherwise for these specimens only: one ball, or clubs."""
     power: float
     """Power to find the difference worth finding, with the measured scatter."""
     verdict: str
@@ -126,9 +126,9 @@ class Covariates(NamedTuple):
     slopes: tuple[float, ...]
     """Effect of one unit of each."""
     share: float
-    """Share of the variance of one shot within blocks that they explain."""
+    """Fraction of the variance within blocks that the covariates explain."""
     missing: int
-    """Valid shots left out because one of them was not measured."""
+    """Valid shots left out because a covariate was not measured."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Comparison:
     dof: float
     """Degrees of freedom of the residuals; each pair has its own."""
     single: float
-    """Error level of one pair."""
+    """Significance level of one pair."""
     pairs: tuple[Pair, ...]
     drift: float | None
     """Drift of the quantity per shot, from the control ball; None if it is not in the model."""
@@ -168,7 +168,7 @@ class SectionAnalysis:
     control: Level | None
     confirmatory: Comparison | None
     look: Look
-    """How much of the plan is done, and the error level it leaves."""
+    """Completed part of the plan, and the significance level of this analysis."""
     values: tuple[float, ...]
     """Valid values of a section's only level, in order; empty where levels are compared."""
     outliers: tuple[tuple[int, float], ...]

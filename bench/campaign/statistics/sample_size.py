@@ -93,7 +93,7 @@ class Look(NamedTuple):
     number: int
     """Number of the look, from 1, looks at fewer shots counted."""
     alpha: float
-    """Error level of this look, two-sided."""
+    """Two-sided significance level of this interim analysis."""
 
 
 def spent(alpha: float, share: float) -> float:
@@ -187,7 +187,7 @@ class PredictedPrecision(NamedTuple):
     """Standard error of a difference, mean over the pairs."""
     dof: float
     single: float
-    """Error level of one pair."""
+    """Significance level of one pair."""
     pairs: int
     draws: Draws
     sd: float
@@ -266,7 +266,7 @@ def predict_precision(
 
 
 def alpha_at_end(plan: CampaignPlan) -> float:
-    """Return the error level of the last analysis, after the interim analyses of the plan's rule."""
+    """Return the significance level of the last analysis, after the interim analyses of the plan's rule."""
     shares = sorted(round(number / plan.design.blocks, 9) for number in looks_after(plan))
     return look_level(1 - plan.analysis.confidence, (*(share for share in shares if share < 1), 1.0))
 

@@ -391,9 +391,9 @@ def _loads(machine: SimulatedMachine) -> str:
     """Return the simulated robot's loads since it was switched on, in words."""
     loads = machine.loads
     return (
-        f"simulated loads so far: {100 * loads.stop_share:.0f} % of a cushion's rated energy ({loads.stop}), "
-        f"{100 * loads.pressure_share:.0f} % of a chamber's, head {1e3 * loads.lowest_clearance:.0f} mm "
-        f"above the ground, {loads.peak_head_speed:.1f} m/s"
+        f"simulated loads so far: {100 * loads.stop_share:.0f} % of an absorber's rated energy "
+        f"({loads.stop}), {100 * loads.pressure_share:.0f} % of a chamber's, "
+        f"head {1e3 * loads.lowest_clearance:.0f} mm above the ground, {loads.peak_head_speed:.1f} m/s"
     )
 
 

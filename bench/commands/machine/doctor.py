@@ -106,7 +106,7 @@ class Probe(NamedTuple):
     item: str
     look: Callable[[], ItemResult]
     required: bool = False
-    """Whether everything needs it, even the simulation."""
+    """Whether the item is required for everything, including simulation."""
 
 
 class Finding(NamedTuple):
@@ -450,7 +450,7 @@ def can_channels() -> ItemResult:
     channels = json.loads(_child("can"))
     if channels:
         return ok(", ".join(channels))
-    return missing("none", "simulation needs none; attach an adapter and its driver")
+    return missing("none", "not needed for simulation; for hardware attach an adapter and install its driver")
 
 
 # DAQ -------------------------------------------------------------------------------------------------

@@ -165,9 +165,9 @@ def front_table(points: Sequence[SizedPoint], front: Sequence[SizedPoint]) -> Ta
     table = Table(title="Front: no other candidate is both faster and cheaper", title_justify="left")
     for name in ("vane", "arm", "wrist", "valves, hose, vents", "absorbers", "bar", "EUR"):
         table.add_column(name)
-    for name in ("plan m/s", "cushions J", "peak bar", "swing m/s", "air g", "peak bar"):
+    for name in ("plan m/s", "absorbers J", "peak bar", "swing m/s", "air g", "peak bar"):
         table.add_column(name, justify="right")
-    table.add_column("cushion %: struck, missed, silent")
+    table.add_column("absorber %: struck, missed, lost link")
     table.add_column("unsafe")
     for point in points:
         if point in front or point.swing is not None:

@@ -141,8 +141,8 @@ def check(
 ) -> None:
     """Check on the simulated plant how every stop ends, from every instant of a swing.
 
-    Each reaction, each valve stuck open or shut, a silent bench, a missing ball and a fat shot, against the
-    ratings of stops and chambers. Exits with 1 if any of them ends unsafe.
+    Each reaction, each valve stuck open or shut, loss of communication, a missing ball and a fat shot,
+    against the ratings of end stops and chambers. Exits with 1 if any of them ends unsafe.
     """
     from bench.design.stop_verification import SwingCheck, summarise
     from bench.supervisor.readiness import assess_bench

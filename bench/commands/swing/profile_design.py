@@ -249,7 +249,7 @@ def _show_highest_speed(
         found = highest_speed(study, engine, lambda what: bar.update(task, description=what))
     typer.echo(
         f"At most {found.plan.speed:.1f} m/s at the ball, {100 * demand.margin:g} % of each valve left to "
-        "feedback, cushions kept when the ball is missed or the bench falls silent;\n"
+        "feedback, absorber limits kept with a missed ball and after loss of communication;\n"
         f"{found.limit}."
     )
     for name, gain in list(found.plan.binding.items())[:5]:
@@ -263,7 +263,7 @@ def _save_design(
     path: Path,
     golfer: Golfer | GolferSwing | None,
 ) -> None:
-    """Design a swing, save it at `path`, print its delivery, cushions and deviation from `golfer`."""
+    """Design a swing, save it at `path`, print its delivery, absorber loads and deviation from `golfer`."""
     from bench.design.designer import design_swing
     from bench.design.golfer_tracking import gave_way
     from bench.golfer.comparison import compare_motions, followed_golfer, golfer_motion, robot_motion

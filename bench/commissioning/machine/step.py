@@ -47,7 +47,7 @@ _OWN_SHARE = 0.2
 _JUMP = 100.0
 """Speed beyond which a count has jumped (rad/s)."""
 _CUSHION_SHARE = 0.5
-"""Share of a cushion's rated energy that a joint has at the speed bound."""
+"""Fraction of an absorber's rated energy that a joint has at the speed bound."""
 
 
 class ParameterEstimate(NamedTuple):
@@ -107,7 +107,7 @@ class StopMove(NamedTuple):
 
 
 def slow_bounds(plant: PlantParameters, pressure: float) -> MotionBounds:
-    """Return bounds at which no cushion takes more than half its rated energy, below `pressure` (Pa)."""
+    """Return bounds at which no absorber takes more than half its rated energy, below `pressure` (Pa)."""
     lower, upper = joint_travel(plant)
     inertia = np.diag(mass_matrix(plant.robot, (lower + upper) / 2))
     energy = np.array([actuator.stop.energy for actuator in plant.actuators])
@@ -353,7 +353,7 @@ class SimulatedRobot:
 
 
 SWING_FILE, LEARNED_FILE = "swing.toml", "learned.toml"
-"""The profile of 100 %, and with its learned correction."""
+"""Files of the profile at 100 % speed, without and with its learned correction."""
 
 Traces = Mapping[str, MotionTrace]
 """Traces of a step by the name of the motion."""

@@ -116,7 +116,7 @@ WIRING = CommissioningStep(
     "wiring",
     "Wiring, signs, and scale of the encoders",
     f"ramps at {1e-5 * FAINT:.1f} bar with open vents; moves at 3 bar, pressing at 4.5 bar absolute; "
-    "speeds at which no cushion takes more than half its rated energy",
+    "speeds at which no shock absorber takes more than half its rated energy",
     _measure_wiring,
     _estimate_wiring,
 )

@@ -28,7 +28,7 @@ WINDOW = 20
 QUANTITIES = 13
 """Values that are predicted: angles and speeds of three joints, pressures of six chambers, the supply's."""
 SPEED, PRESSURE, SUPPLY = slice(3, 6), slice(6, 12), 12
-"""Places of these among them."""
+"""Indices of joint speeds, chamber pressures and supply pressure among the values."""
 _SMOOTH, _ORDER = 9, 3
 """Rows and order of the polynomial that gives a speed."""
 _CONTACT = 8

@@ -275,7 +275,7 @@ def require_safe(loads: Loads | None, location: str, error: type[MachineFault] =
         MachineFault: a rating was exceeded.
     """
     if unsafe := exceeded(loads):
-        action = "Inspect cushions, chambers and club before anything moves; brakes are weaker than assumed."
+        action = "Inspect absorbers, chambers and club before anything moves; brakes are weaker than assumed."
         raise error(location, "; ".join(unsafe), "loads within every rating", action)
 
 

@@ -343,7 +343,7 @@ def effect(recorded: RecordedSwing, plant: PlantParameters, base: Array, one: Pa
 
 
 CLEARLY = 1.5
-"""Times by which the misfit without a cause, and with the next best one, has to exceed the named one's."""
+"""Min ratio of the misfits without a cause and with the next best cause to that of the reported cause."""
 _USUAL = 0.5
 """Misfit up to which no cause is looked for, and which is added to all in ratios; right robots had less."""
 _FINE = 10
@@ -358,7 +358,7 @@ class FittedCause(NamedTuple):
     cause: SwingCause
     value: float
     since: float
-    """Time in the record from which it acts (s)."""
+    """Start of the cause in the record (s)."""
     misfit: float
 
 
@@ -366,15 +366,15 @@ class Diagnosis(NamedTuple):
     """Diagnosis of the robot from a recorded swing."""
 
     named: FittedCause | None
-    """The cause that explains it clearly; None if none does."""
+    """Cause that clearly explains the swing; None without one."""
     fitted: tuple[FittedCause, ...]
     """The best of each place and kind, best first; none where the measured model fits."""
     misfit: float
     """Misfit without a cause, measured values free within their errors."""
     speed: Array
-    """RMS error of the joints' speeds (3,) predicted over a window, rad/s."""
+    """RMS error of the joint speeds (3,) predicted over a window (rad/s)."""
     pressure: Array
-    """RMS error of their chambers' pressures (3,), Pa."""
+    """RMS error of the predicted chamber pressures (3,), one per joint (Pa)."""
     ratio: float
     """Misfit of the next best over that of the best."""
 

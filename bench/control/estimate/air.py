@@ -1,9 +1,9 @@
-"""The chambers' pressures, observed: a bench without pressure sensors has to know them to invert its valves.
+"""Observer of the chamber pressures: a bench without pressure sensors needs them to invert its valves.
 
-The openings that were applied, the motion that was estimated and the supply's pressure move the plant's own
-chamber model on. What would drift is corrected: by the chamber's sensor where one is fitted, otherwise by
-Kane's equations, for the force that the motion needs is the force that the air gives. A joint that rests or
-lies in its cushion gives no information, as friction or cushion may carry any part of its load.
+The applied valve commands, the estimated motion and the supply pressure drive the chamber model of the plant.
+Its drift is corrected: by the chamber's sensor where one is fitted, otherwise by Kane's equations, since the
+chamber pressures must give the force that the motion needs. A joint at rest or in its absorber gives no
+information, as friction or absorber may carry any part of its load.
 
 All pure, time is an argument.
 """

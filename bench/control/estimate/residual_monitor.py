@@ -41,7 +41,7 @@ ARMING = SHOCK + 1
 """Row of the limits on the way to the address, from wherever the robot stood: in the return it comes from a
 swing."""
 LEARNING = ARMING + 1
-"""First row of the limits, as above, of a robot or reference that differs from the planned one on purpose."""
+"""First row of a second set of limits, for a robot or reference that intentionally differs from the plan."""
 KINDS = ("air", "flow", "velocity", "jump", "effort")
 """Names of the comparisons and of their limits."""
 
@@ -72,7 +72,7 @@ MODEL_STATE = np.dtype(
 """The observer: spools, pressures as `sim.dynamics.chambers` takes them (chambers from 6 on, supply), what
 each sensor showed last and for how long (s); residuals of the chambers (Pa; NaN if unknown), the
 same smoothed and, smoothed, of the torques (N m); s since the observer began or was disturbed; which joint
-and which joint's reference is at its cushion; s for which the latest blow still counts."""
+and which joint's reference is in its absorber; remaining time of the latest shock (s)."""
 
 _MEMORY = 0.010
 """Time constant with which the observer follows the measured pressures (s)."""
@@ -89,7 +89,7 @@ _CLOSE = 1e-4
 _BLOW = 0.030
 """Time for which a shock shakes all joints (s)."""
 _FAST = 0.5
-"""Speed from which running into a cushion is a shock (rad/s)."""
+"""Speed above which contact with an absorber is a shock (rad/s)."""
 _FAST_HEAD = 3.0
 """Head speed from which ball or turf are a shock (m/s)."""
 _NEAR_BALL = (0.08, 0.12)
@@ -179,7 +179,7 @@ def _is_shown(m: Any, r: Any, k: int) -> bool:
 
 @compiled
 def _note_blows(m: Any, robot: Any, p: Any, e: Any, reference: Any, step: float) -> None:
-    """Notice joints, and references, that come to their cushion at speed."""
+    """Detect joints, and references, that reach their absorber at speed."""
     m.blow = max(m.blow - step, 0.0) if step > 0.0 else m.blow
     for i in range(3):
         actual, _ = joint_coordinates(robot, e.angle, e.velocity, i)
@@ -206,7 +206,7 @@ def _note_contact(m: Any, envelope: Any, head: Any, braking: bool) -> None:
 
 @compiled
 def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, indexed: Any, step: float) -> None:
-    """Smooth the residuals of Kane's equations (N m); zero for a joint at its cushion, for all in a shock.
+    """Smooth the residuals of Kane's equations (N m); zero for a joint in its absorber, for all in a shock.
 
     Each equation contains all joint angles: the residuals also stay zero until all encoder zeros are known.
     """

@@ -17,7 +17,7 @@ from bench.base.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
 _ANSWER = 0.05
-"""Angle along with the reference by which a joint answers (rad)."""
+"""Travel in the reference's direction that counts as a joint's response (rad)."""
 _MIN_OPENING = 0.005
 """Opening beyond the dead band at first."""
 _GROWTH, _LIFT = 0.02, 0.12

@@ -67,7 +67,7 @@ def planned_air(plant: PlantParameters, angle: Array) -> Array:
 
 
 def dither_amplitudes(plant: PlantParameters, machine: Array, angle: Array) -> Array:
-    """Return the dither amplitudes (3,) of the spools, as openings, at the address `angle` (3,) in rad.
+    """Return the dither amplitudes (3,), as valve commands, at the address `angle` (3,) in rad.
 
     They follow from the chambers' volumes and the valves: each sum settles in SETTLING. `machine` is the
     plant's PLANT_PARAMETERS record.

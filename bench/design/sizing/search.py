@@ -44,7 +44,7 @@ class SizedPlan:
     failure: str
     """Reason for the missing plan; empty with a plan."""
     carried: tuple[float, float] = (0.0, 0.0)
-    """Energies brought to the upper cushions of right arm and wrist if the ball is missed, J."""
+    """Energies in the upper absorbers of right arm and wrist if the ball is missed (J)."""
     peak_pressure: float = 0.0
     """Max chamber pressure, Pa absolute."""
     binding: tuple[tuple[str, float], ...] = ()
@@ -74,7 +74,7 @@ class SizedSwing:
     cases: int = 0
     """Tried fault cases of `profile check`; 0: none was tried."""
     unsafe: int = 0
-    """Unsafe cases of the stopping table, a silent bench or a missing ball."""
+    """Unsafe cases of the stopping table, loss of communication or a missing ball."""
     stuck_unsafe: int = 0
     """Unsafe cases of stuck valves."""
 

@@ -95,9 +95,9 @@ def _cubics(times: Cycles, values: Cycles, slopes: Cycles, at: Cycles) -> Cycles
 
 
 SPEED, PLACE = 0.012, 0.015
-"""Share of the club speed, and m along the ground, by which swings of a healthy robot may differ at least."""
+"""Min tolerance between swings: fraction of the club speed, and strike point along the ground (m)."""
 SPEED_SCATTER, PLACE_SCATTER = 8.0, 5.0
-"""Number of standard deviations by which they may differ if that is more."""
+"""The same as a number of standard deviations; the larger tolerance of both applies."""
 REFERENCE, NEEDED = 20, 10
 """First swings with the same tables that are compared with, at most and at least."""
 LASTING = 3
@@ -126,7 +126,7 @@ class SwingDrift(NamedTuple):
     warnings: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Return it for a record's metadata; None for unknown values."""
+        """Return the comparison for a record's metadata; None for unknown values."""
         figures = {
             "club_speed_mps": self.seen.speed,
             "first_club_speed_mps": self.usual.speed,
@@ -180,7 +180,7 @@ class DriftMonitor:
         self._latest: deque[ObservedImpact] = deque(maxlen=LASTING)
 
     def take(self, seen: ObservedImpact, tables: Hashable) -> SwingDrift:
-        """Compare a swing with `tables`; tables that changed begin a new series."""
+        """Compare a swing with the first ones of the same `tables`; changed tables start a new series."""
         if tables != self._tables:
             self._tables = tables
             self._first.clear()

@@ -97,7 +97,7 @@ def address(plant: PlantParameters) -> Array:
     """Return joint angles (rad) with the face at the ball and the shaft straight down the swing plane.
 
     Raises:
-        BenchError: the arm cannot put it there.
+        BenchError: the arm cannot bring the face there.
     """
     site = plant.site
     try:
