@@ -189,7 +189,7 @@ def not_compared(plan: CampaignPlan, tables: Sequence[DifferenceTable], quantity
         if table.across:
             yield (
                 f"The interaction of {table.factor} and {table.across} was not tested: each column is a "
-                "comparison with its own error level, and the plan compares nothing between columns."
+                "comparison at a separate significance level, and the plan compares nothing between columns."
             )
     if tables:
         others = ", ".join(NAMES[column] for column in QUANTITIES if column != plan.column)

@@ -208,11 +208,11 @@ def _validity(plan: CampaignPlan, pairs: Sequence[Pair]) -> str:
 def _look(analysis: SectionAnalysis) -> str:
     look = analysis.look
     if look.share >= 1:
-        return f"Look no. {look.number}, those before it allowed for. " if look.number > 1 else ""
+        return f"Analysis no. {look.number}, allowing for the earlier ones. " if look.number > 1 else ""
     return (
-        f"Look no. {look.number} has {100 * look.share:.0f} % of the plan's shots; the others are excluded "
-        f"or still to come. The error level is {100 * look.alpha:.2g} %, so that all looks together keep "
-        "the plan's. "
+        f"Interim analysis no. {look.number} has {100 * look.share:.0f} % of the plan's shots; the others "
+        f"are excluded or still to come. The significance level is {100 * look.alpha:.2g} %, so that all "
+        "analyses together keep the plan's. "
     )
 
 

@@ -1,9 +1,9 @@
 """Power, sample size and interim analyses of a comparison.
 
-Each interim analysis has an error level with which all together keep the confidence. Alpha spending (Lan and
-DeMets 1983) uses a function like O'Brien and Fleming's: nearly nothing early, nearly all at the end. The
-level follows from the share of the plan's shots that are done and from the earlier analyses; neither their
-number nor their times need be planned.
+Each interim analysis has a significance level with which all together keep the confidence. Alpha spending
+(Lan and DeMets 1983) uses a function like O'Brien and Fleming's: nearly nothing early, nearly all at the end.
+The level follows from the share of the plan's shots that are done and from the earlier analyses; neither
+their number nor their times need be planned.
 
 Power, resolution and size of a test series are predicted by the model that evaluates it. The plan's order
 of shots and its turns of balls give each difference its error and degrees of freedom
@@ -97,7 +97,7 @@ class Look(NamedTuple):
 
 
 def spent(alpha: float, share: float) -> float:
-    """Return the error that all looks up to this share of the shots may spend together."""
+    """Return the error that all analyses up to this share of the shots may spend together."""
     if share >= 1:
         return alpha
     return float(4 * stats.norm.sf(stats.norm.isf(alpha / 4) / sqrt(share))) if share > 0 else 0.0

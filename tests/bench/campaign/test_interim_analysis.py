@@ -1,4 +1,4 @@
-"""Looks before the end of a plan: their error levels, how they are counted, what words say of them."""
+"""Interim analyses before the end of a plan: significance levels, counting, texts."""
 
 from __future__ import annotations
 
@@ -77,7 +77,8 @@ def test_findings_interim_look_states_true_confidence(plan: CampaignPlan) -> Non
     (verdict,) = found.sections[0].verdicts
     assert f"{confidence_words(comparison.confidence)} % interval" in verdict.detail
     assert (
-        "Look no. 1 has 50 % of the plan's shots; the others are excluded or still to come." in verdict.detail
+        "Interim analysis no. 1 has 50 % of the plan's shots; the others are excluded or still to come."
+        in verdict.detail
     )
     whole = findings(plan, campaign_shots(plan, Truth(), 3)).sections[0].verdicts[0]
     assert "95 % interval" in whole.detail
