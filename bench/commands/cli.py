@@ -25,7 +25,7 @@ from typer.exceptions import TyperException
 from typer.models import CommandInfo, TyperInfo
 
 from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode
-from bench.base.interrupt import Terminated, leave
+from bench.base.interrupt import Terminated, has_closed_pipe, leave, watch_pipes
 from bench.commands.common import Session, flag
 
 if TYPE_CHECKING:
@@ -256,6 +256,7 @@ def command_line() -> TyperGroup:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line with `arguments` (those of the process by default) and exit with its code."""
     accept_any_text()
+    watch_pipes()
     session = Session()
     line = partial(command_line().main, args=arguments, prog_name="golfbench", obj=session)
     leave(report_errors(partial(line, standalone_mode=not _for_programs()), session))
@@ -267,7 +268,8 @@ def report_errors(work: Callable[[], object], session: Session) -> int:
     try:
         code = work()
     except SystemExit as ended:
-        code = ended.code
+        # At a closed pipe the packages of commands and tables exit with 1, without a word.
+        code = ExitCode.FILE if ended.code == 1 and has_closed_pipe() else ended.code
     except KeyboardInterrupt:
         code = ExitCode.INTERRUPTED
     except Terminated:

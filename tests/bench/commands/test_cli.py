@@ -263,6 +263,22 @@ def test_main_error_prints_action_and_exit_code_without_traceback(
     assert "Traceback" not in shown
 
 
+@pytest.mark.parametrize("line", [("schema",), ("profile", "list"), ("profile", "list", "--json")])
+@pytest.mark.parametrize("errors", ["", "json"])
+def test_main_closed_pipe_ends_quietly_with_file_code(line: tuple[str, ...], errors: str) -> None:
+    """Tables and plain text notice it in different packages."""
+    command = [sys.executable, "-m", "bench", "--config", "shipped", *line]
+    environment = {**os.environ, FOR_PROGRAMS: errors}
+    with subprocess.Popen(
+        command, cwd=TOP, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == ExitCode.FILE
+
+
 def test_main_error_for_programs_prints_json_lines(
     run: Callable[..., int], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -332,6 +332,24 @@ def test_campaign_resume_changed_plan_or_configuration_is_refused(
 
 
 @pytest.mark.slow
+def test_campaign_run_closed_pipe_stops_and_can_be_resumed(call: Call, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "bench", "--config", str(tmp_path / "bench.toml"), "campaign", "run"]
+    with subprocess.Popen(
+        [*command, "two-balls", "--sim"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    ) as process:
+        assert process.stdout is not None
+        assert any(line.startswith(b"campaign ") for line in process.stdout)  # after those of compilation
+        process.stdout.close()
+        assert process.wait(300.0) == ExitCode.TERMINATED
+    (listed,) = json.loads(call("list", "--json").stdout)
+    assert listed["state"] == "stopped"
+    assert listed["reason"].startswith("stopped by a closed pipe")
+
+
+@pytest.mark.slow
 def test_campaign_run_file_size_limit_stops_and_resume_finishes(user: User, tmp_path: Path) -> None:
     """The limit on a file's size makes the operating system itself refuse the write."""
     # Compiled code is in its cache before the limit holds: it is not the file that the test is about.
