@@ -16,6 +16,7 @@ from bench.calibration.calibration import (
     VALID_DAYS,
     Calibration,
     CalibrationKind,
+    ClubInMount,
     Entry,
     UnreadableEntry,
     Values,
@@ -83,7 +84,7 @@ def add_calibration(
     row = {
         "bench": bench,
         "kind": kind.value,
-        "subject": getattr(values, "club", ""),
+        "subject": values.club if isinstance(values, ClubInMount) else "",
         "date": date,
         "expires": expires,
         "by": by.strip(),
@@ -151,12 +152,19 @@ def _parsed(connection: Connection, rows: Select[Any]) -> dict[int, Any]:
 
 
 def effective_calibration(
-    database: Engine, bench: str, when: datetime, *, club: str = "", required: bool = False
+    database: Engine,
+    bench: str,
+    when: datetime,
+    *,
+    club: str = "",
+    required: bool = False,
+    tee_of: Callable[[str], object] = lambda club: None,
 ) -> Calibration:
     """Return the calibrations in force on `bench` at `when` with `club` mounted: the last of each kind.
 
     The order of entry counts: a calibration whose date was ahead of the clock does not stay the newest.
     `required` says that a kind without a calibration is a problem (a machine), not nominal (simulation).
+    `tee_of` returns the place of a club's tee; the newest calibration of the tee holds at its place only.
     """
     newest: dict[str, Entry] = {}
     later: dict[str, Entry] = {}
@@ -173,26 +181,35 @@ def effective_calibration(
             unreadable.pop(entry.kind, None)
         else:
             later[entry.kind] = entry
+    moved = newest.get(CalibrationKind.BALL)
+    if moved is None or tee_of(getattr(moved.values, "club", "")) == tee_of(club):
+        moved = None
+    else:
+        del newest[CalibrationKind.BALL]
     entries, others = (
         tuple(found[kind] for kind in CalibrationKind if kind in found) for found in (newest, later)
     )
     bad = tuple(unreadable[kind] for kind in CalibrationKind if kind in unreadable)
-    return Calibration(bench, club, when, entries, required, others, bad)
+    return Calibration(bench, club, when, entries, required, others, bad, moved)
 
 
-def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
-    """Return the calibrations in force for `configuration` at `when`; creates no database.
+def calibration_of(configuration: Configuration, when: datetime, club: str | None = None) -> Calibration:
+    """Return the calibrations in force at `when` with `club` mounted; creates no database.
+
+    The club is that of `configuration` if no name is given.
 
     Raises:
         BenchError: the database cannot be read.
     """
-    c = configuration
+    c, mounted = configuration, configuration.swing.club if club is None else club
     required = c.is_machine  # elsewhere nominal values are right
     url = database_url(c.bench.database, c.bench.data_dir)
     if not is_there(url):
-        return Calibration(c.bench.id, c.swing.club, when, (), required)
+        return Calibration(c.bench.id, mounted, when, (), required)
     with open_database(url, when) as database:
-        return effective_calibration(database, c.bench.id, when, club=c.swing.club, required=required)
+        return effective_calibration(
+            database, c.bench.id, when, club=mounted, required=required, tee_of=c.tee_of
+        )
 
 
 def _entry(r: Any) -> Entry:

@@ -139,6 +139,8 @@ class BallPosition:
     x: Coordinate
     y: Coordinate
     uncertainty: Annotated[float, Range(0.0, 0.05, "m")]
+    club: str = field(default="", metadata={"optional": True})
+    """Club for which the tee stood there; empty if unknown."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,8 @@ def in_words(values: Values) -> str:
             words = f"zero {_three(zero, '.1f')} of {counts} counts, sign {signs}, {known}"
             return f"{words}; in the devices {'; '.join(shifts)}" if any(shifts) else words
         case BallPosition(x, y, uncertainty):
-            return f"x {x:.4f}, y {y:.4f} m ± {1e3 * uncertainty:.3g} mm"
+            words = f"x {x:.4f}, y {y:.4f} m ± {1e3 * uncertainty:.3g} mm"
+            return f"{words}, with club {values.club}" if values.club else words
         case ClubInMount():
             v = values
             return (
@@ -361,6 +364,8 @@ class Calibration:
     """Newer ones dated after `when`, which are not in force: the clock was set back since."""
     unreadable: tuple[UnreadableEntry, ...] = field(default=())
     """Newest of kinds, none of which is in force then."""
+    moved: Entry | None = None
+    """Newest one of the tee, if it stood elsewhere: not in force until it is measured for this club."""
 
     @property
     def nominal(self) -> tuple[CalibrationKind, ...]:
@@ -370,14 +375,6 @@ class Calibration:
     def of(self, kind: CalibrationKind) -> Entry | None:
         """Return the calibration of `kind` in force, if any; it may have expired."""
         return next((entry for entry in self.entries if entry.kind is kind), None)
-
-    def without(self, kind: CalibrationKind) -> Calibration:
-        """Return the calibrations but those of `kind`."""
-        entries, later = (
-            tuple(entry for entry in found if entry.kind is not kind) for found in (self.entries, self.later)
-        )
-        unreadable = tuple(entry for entry in self.unreadable if entry.kind != kind)
-        return replace(self, entries=entries, later=later, unreadable=unreadable)
 
     @property
     def shifts(self) -> CalibratedShifts | None:
@@ -428,8 +425,11 @@ class Calibration:
         for kind in (kind for kind in self.nominal if kind not in unreadable):
             name = f"club {self.club}" if kind is CalibrationKind.CLUB else kind
             where, code = f"{name} of bench {self.bench}", Block.CALIBRATION_MISSING
+            fact = "never calibrated"
+            if kind is CalibrationKind.BALL and self.moved is not None:
+                fact = f"calibrated for the tee of another club ({self.moved.name})"
             expected, action = "a calibration in force, as on every machine", f"golfbench calibrate {kind}"
-            found.append(CalibrationProblem(code, where, "never calibrated", expected, action))
+            found.append(CalibrationProblem(code, where, fact, expected, action))
         return found
 
     def record(self) -> dict[str, Any]:

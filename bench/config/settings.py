@@ -172,6 +172,11 @@ class Configuration:
         """Key of the site of the mounted club, for messages."""
         return f"plant.site or sites.{self.swing.club}" if self.sites else "plant.site"
 
+    def tee_of(self, club: str) -> tuple[float, float]:
+        """Return the place (m) of the tee for the club called `club`; "" is the mounted one."""
+        site = self.sites.get(club, self.plant.site)
+        return site.ball_x, site.ball_y
+
     def plant_of(self, name: str, club: Club) -> PlantParameters:
         """Return the plant with `club` on the site of the club called `name`."""
         plant = replace(self.plant, robot=replace(self.plant.robot, club=club))

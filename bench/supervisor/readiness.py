@@ -141,17 +141,12 @@ def mount(
 ) -> tuple[Configuration, Calibration]:
     """Return the configuration with `club` mounted, and the calibrations in force for it at `when`.
 
-    The tee's calibration is left out if the club's site has another ball position: it is repeated after the
-    tee has been moved.
+    A calibration of the tee at another place is left out: the tee is calibrated once it has been moved.
 
     Raises:
         BenchError: the club is unknown, or the calibrations cannot be read.
     """
-    mounted = configuration.with_club(club)
-    found, here, there = calibration_of(mounted, when), configuration.plant.site, mounted.plant.site
-    if (here.ball_x, here.ball_y) != (there.ball_x, there.ball_y):
-        found = found.without(CalibrationKind.BALL)
-    return mounted, found
+    return configuration.with_club(club), calibration_of(configuration, when, club)
 
 
 def assess(

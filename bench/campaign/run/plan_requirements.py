@@ -127,13 +127,15 @@ _STEP = 1e-4
 
 
 def calibrations_in_force(
-    database: Engine, bench: str, clubs: Iterable[str], now: datetime
+    database: Engine, configuration: Configuration, clubs: Iterable[str], now: datetime
 ) -> dict[str, Any]:
-    """Return the calibrations of `bench` in force `now` with each of `clubs` mounted, as JSON values."""
+    """Return the bench's calibrations in force `now` with each of `clubs` mounted, as JSON values."""
     found: dict[int, Entry] = {}
     nominal: set[str] = set()
     for club in clubs:
-        calibration = effective_calibration(database, bench, now, club=club)
+        calibration = effective_calibration(
+            database, configuration.bench.id, now, club=club, tee_of=configuration.tee_of
+        )
         found |= {entry.id: entry for entry in calibration.entries}
         nominal |= {f"club {club}" if kind == "club" else kind.value for kind in calibration.nominal}
     return {
@@ -143,9 +145,11 @@ def calibrations_in_force(
     }
 
 
-def calibration_versions(database: Engine, bench: str, clubs: Iterable[str], now: datetime) -> dict[str, str]:
+def calibration_versions(
+    database: Engine, configuration: Configuration, clubs: Iterable[str], now: datetime
+) -> dict[str, str]:
     """Return the versions of the calibrations in force by kind and club, to see what changes between runs."""
-    found = calibrations_in_force(database, bench, clubs, now)
+    found = calibrations_in_force(database, configuration, clubs, now)
     return {
         " ".join(filter(None, (str(one["kind"]), str(one["subject"])))): f"version {one['version']}"
         for one in found["in_force"]
@@ -153,13 +157,23 @@ def calibration_versions(database: Engine, bench: str, clubs: Iterable[str], now
 
 
 def calibration_warnings(
-    database: Engine, bench: str, clubs: Iterable[str], now: datetime, end: datetime, *, required: bool
+    database: Engine,
+    configuration: Configuration,
+    clubs: Iterable[str],
+    now: datetime,
+    end: datetime,
+    *,
+    required: bool,
 ) -> list[str]:
     """Return the calibrations that keep the bench from arming `now` or before `end`, each with its action.
 
     `required` includes those that were never made, as on a machine.
     """
-    found = [effective_calibration(database, bench, now, club=club, required=required) for club in clubs]
+    bench, tee_of = configuration.bench.id, configuration.tee_of
+    found = [
+        effective_calibration(database, bench, now, club=club, required=required, tee_of=tee_of)
+        for club in clubs
+    ]
     today = dict.fromkeys(problem.text for one in found for problem in one.problems(now))
     ending = dict.fromkeys(problem.text for one in found for problem in one.problems(end, now))
     restart = ", then start the bench again: it does not arm before."

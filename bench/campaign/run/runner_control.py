@@ -100,7 +100,7 @@ def bench_calibrations(
 ) -> dict[str, Any]:
     """Return the bench's calibrations in force `now`; raises as `require_swings`."""
     profiles = require_swings(plan, configuration, now)
-    found = calibrations_in_force(store.database, configuration.bench.id, plan.design.clubs, now)
+    found = calibrations_in_force(store.database, configuration, plan.design.clubs, now)
     return found | {"club_speed": speed_sensitivities(profiles, plan.clubs, configuration.plant.robot)}
 
 
@@ -146,7 +146,8 @@ def run_campaign(
             publish = stack.enter_context(client.publish_campaign(entry.id))
             watcher = Watcher(watcher, CampaignProgress(entry, plan, publish))
             air = partial(_air_now, entry, store)
-            for warning in _warnings(plan, profiles, entry, store, client.status(), air()):
+            found = _warnings(plan, configuration, profiles, entry, store, client.status(), air())
+            for warning in found:
                 watcher.say(warning)
             source = stack.enter_context(
                 LiveShots(
@@ -170,6 +171,7 @@ def _air_now(entry: CampaignEntry, store: CampaignStore) -> Air | None:
 
 def _warnings(
     plan: CampaignPlan,
+    configuration: Configuration,
     profiles: Profiles,
     entry: CampaignEntry,
     store: CampaignStore,
@@ -185,7 +187,7 @@ def _warnings(
     now, needed = datetime.now(UTC), needs(plan)
     lasts = timedelta(seconds=needed.swings * plan.design.seconds_per_shot + needed.hand_work)
     yield from calibration_warnings(
-        store.database, entry.bench, plan.design.clubs, now, now + lasts, required=not entry.simulated
+        store.database, configuration, plan.design.clubs, now, now + lasts, required=not entry.simulated
     )
     if needs_series(plan, profiles.values()) and not status["series"]:
         yield f"This is {series_words(plan)}. {START_SERIES}"

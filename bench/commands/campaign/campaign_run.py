@@ -252,8 +252,8 @@ def _bench_facts(
         read_services(Path(configuration.notifications.file))
     with BenchClient.connect(configuration) as client:
         facts = bench_facts(plan, configuration, client.status(), measured)
-    bench, clubs = configuration.bench.id, plan.design.clubs
-    versions = calibration_versions(store.database, bench, clubs, datetime.now(UTC))
+    clubs, now = plan.design.clubs, datetime.now(UTC)
+    versions = calibration_versions(store.database, configuration, clubs, now)
     return {**facts, "calibrations": versions}
 
 

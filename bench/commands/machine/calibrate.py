@@ -141,7 +141,8 @@ def ball(
     """Set the position of the ball's centre on its tee, in the swing plane."""
     from bench.calibration.calibration import CalibrationKind
 
-    content = {"x": x, "y": y, "uncertainty": uncertainty_mm / 1e3}
+    mounted = context.ensure_object(Session).configuration().swing.club
+    content = {"x": x, "y": y, "uncertainty": uncertainty_mm / 1e3, "club": mounted}
     _add(context, CalibrationKind.BALL, content, method, by, expires_days, note, json_)
 
 
@@ -425,7 +426,8 @@ def overview(in_force: Calibration, now: datetime) -> Table:
 
 def _mark(entry: Entry, in_force: Calibration, now: datetime) -> Text:
     if in_force.of(entry.kind) != entry:
-        return Text("other club" if entry.subject not in {"", in_force.club} else "superseded", "dim")
+        other = entry.subject not in {"", in_force.club} or entry == in_force.moved
+        return Text("other club" if other else "superseded", "dim")
     return Text("expired", "bold red") if entry.expired(now) else Text("in force", "green")
 
 

@@ -116,6 +116,33 @@ def test_effective_calibration_uses_only_mounted_club(database: Engine) -> None:
         assert (entry and entry.version) == version
 
 
+@pytest.mark.parametrize(
+    ("measured", "mounted", "in_force"),
+    [
+        ("driver", "driver", True),
+        ("driver", "thesis", True),  # both stand on plant.site
+        ("wedge56", "wedge56_wet", True),
+        ("wedge56", "pitching", False),  # 6 mm higher
+        ("driver", "iron7", False),
+        ("iron7", "driver", False),
+        ("", "iron7", True),
+    ],
+)
+def test_calibration_of_tee_elsewhere_is_not_in_force(
+    tmp_path: Path, measured: str, mounted: str, in_force: bool
+) -> None:
+    c = load_configuration(Path("bag"))
+    c = replace(c, bench=replace(c.bench, data_dir=tmp_path)).with_club(mounted)
+    with open_database(database_url("", tmp_path), NOW) as database:
+        entry = add(database, replace(BALL, club=measured), bench=c.bench.id)
+    machine = c.with_driver(replace(c.driver, name="daq"))
+    found = calibration_of(machine, NOW)
+    assert (found.of(CalibrationKind.BALL), found.moved) == ((entry, None) if in_force else (None, entry))
+    texts = [problem.text for problem in found.problems(NOW) if "ball" in problem.text]
+    wrong = "ball of bench bench1 calibrated for the tee of another club (calibration ball version 1)"
+    assert texts == ([] if in_force else [f"{wrong}: golfbench calibrate ball"])
+
+
 def test_add_calibration_supersedes_date_ahead_of_clock(database: Engine) -> None:
     add(database, BALL, NOW + 3650 * DAY)
     (problem,) = effective_calibration(database, "b", NOW).problems(NOW)

@@ -108,7 +108,12 @@ def test_calibration_record_is_complete_json() -> None:
         ("ball", 1, 1, NOW.isoformat()),
         ("valves", 2, 2, NOW.isoformat()),
     ]
-    assert record["in_force"][0]["values"] == {"x": 0.26, "y": -1.55, "uncertainty": 1e-3}
+    assert record["in_force"][0]["values"] == {
+        "x": 0.26,
+        "y": -1.55,
+        "uncertainty": 1e-3,
+        "club": "",
+    }
     assert record["nominal"] == ["encoders", "club", "inputs"]
     assert record["expired"] == []
     assert replace(calibration, when=NOW + timedelta(days=1)).record()["expired"] == ["ball", "valves"]

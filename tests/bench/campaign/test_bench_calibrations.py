@@ -45,11 +45,11 @@ def test_bench_calibrations_keep_newest_of_campaign_clubs(tmp_path: Path) -> Non
         add(ClubInMount("driver", 1.09, 0.18, 1.0, 5e-4, 1e-3), 2)
         add(ClubInMount("driver-9", 1.09, 0.16, 1.0, 6e-4, 1e-3), 3)
         add(ClubInMount("iron", 0.95, 0.5, 1.0, 7e-4, 1e-3), 4)
-        found = calibrations_in_force(engine, bench, plan.design.clubs, NOW)
+        found = calibrations_in_force(engine, CONFIGURATION, plan.design.clubs, NOW)
         names = [(one["kind"], one["subject"], one["version"]) for one in found["in_force"]]
         assert names == [("encoders", "", 2), ("club", "driver", 1), ("club", "driver-9", 2)]
         assert found["nominal"] == ["ball", "club driver-12", "inputs", "valves"]
-        versions = calibration_versions(engine, bench, plan.design.clubs, NOW)
+        versions = calibration_versions(engine, CONFIGURATION, plan.design.clubs, NOW)
         assert versions == {"encoders": "version 2", "club driver": "version 1", "club driver-9": "version 2"}
         kept = bench_calibrations(plan, CONFIGURATION, CampaignStore(engine), NOW)
     one, two = (
@@ -68,7 +68,7 @@ def test_calibration_warnings_report_expired_and_expiring(tmp_path: Path) -> Non
 
     def warnings(hours: float, *, required: bool = False) -> list[str]:
         end = NOW + timedelta(hours=hours)
-        return calibration_warnings(engine, bench, clubs, NOW, end, required=required)
+        return calibration_warnings(engine, CONFIGURATION, clubs, NOW, end, required=required)
 
     with open_database(database_url("", tmp_path)) as engine:
         zeros = EncoderZeros((1, 2, 3), (1, 1, 1), 65536, 1e-3)
@@ -106,6 +106,6 @@ def test_speed_sensitivities_length_matches_club_angular_rate() -> None:
 @pytest.mark.parametrize("clubs", [(), ("driver",)])
 def test_calibrations_in_force_empty_archive_is_nominal(tmp_path: Path, clubs: tuple[str, ...]) -> None:
     with open_database(database_url("", tmp_path)) as engine:
-        found = calibrations_in_force(engine, "bench1", clubs, NOW)
+        found = calibrations_in_force(engine, CONFIGURATION, clubs, NOW)
     assert found["in_force"] == []
     assert ("club driver" in found["nominal"]) == bool(clubs)

@@ -71,7 +71,7 @@ def test_calibrate_ball_second_version_supersedes_first(golfbench: Run) -> None:
     first, second = json.loads(text)
     assert (code, first["version"], first["by"], first["note"]) == (0, 1, "Ada", "new tee")
     assert (second["version"], second["by"], second["method"]) == (2, "Bob", "laser")
-    assert second["values"] == {"x": 0.2503, "y": -1.5602, "uncertainty": 0.0005}
+    assert second["values"] == {"x": 0.2503, "y": -1.5602, "uncertainty": 0.0005, "club": "driver"}
     days = [datetime.fromisoformat(e["expires"]) - datetime.fromisoformat(e["date"]) for e in (first, second)]
     assert days == [timedelta(days=7), timedelta(days=30)]
     text = golfbench("calibrate", "list")[1]
