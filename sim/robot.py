@@ -17,7 +17,7 @@ from typing import Annotated
 import numpy as np
 
 from drivers.base.compiled import copy_fields, fields, new_record
-from drivers.base.ranges import Range
+from drivers.base.ranges import Gap, Range
 
 _INCH = 0.0254
 _POUND_PER_CUBIC_INCH = 0.45359237 / 0.00001639  # as in the thesis, kg/m3
@@ -26,7 +26,8 @@ _ALUMINIUM = 0.098 * _POUND_PER_CUBIC_INCH
 
 Length = Annotated[float, Range(0.01, 2.0, "m")]
 HeadInertia = Annotated[float, Range(1e-5, 2e-3, "kg m2")]
-FaceRadius = Annotated[float, Range(0.05, 1e6, "m")]
+FaceRadius = Annotated[float, Range(0.05, 1e6, "m"), Gap(2.0, 1e4)]
+"""Inches and millimetres lie in the gap."""
 
 
 @dataclass(frozen=True, slots=False)
@@ -50,7 +51,7 @@ class Club:
     length_to_face: Annotated[float, Range(0.3, 1.5, "m")] = 1.09
     """R3 to the centre of the face (m), l3T of the thesis."""
     name: str = "driver"
-    loft: Annotated[float, Range(0.0, radians(70.0), "rad")] = radians(15.0)
+    loft: Annotated[float, Range(0.0, radians(70.0), "rad"), Gap(0.0, radians(1.5))] = radians(15.0)
     """Loft (rad) in the robot's mount: what a driver of 12 degrees has at the ball with a shaft that bends.
     The dynamic loft of the LPGA Tour, whose 96 mph and rise are the shipped swing's, is 15.5 degrees."""
     lie: Annotated[float, Range(radians(35.0), radians(80.0), "rad")] = radians(53.0)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from bench.base.errors import BenchError, did_you_mean
-from drivers.base.ranges import Above, AtLeast, AtMost, Range, short
+from drivers.base.ranges import Above, AtLeast, AtMost, Gap, Range, short
 
 SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {"Hz": 1.0, "rad/s": 2 * pi}}
 """Suffix of a key -> unit of its field -> factor on the value."""
@@ -352,6 +352,8 @@ def expected(hint: Any, suffix: str = "") -> str:
                 text += f" of at least {short(bound)}"
             case AtMost(bound):
                 text += f" up to {short(bound)}"
+            case Gap(low, high):
+                text += f", none between {short(low / factor)} and {short(high / factor)}"
     return text
 
 
@@ -388,6 +390,8 @@ def _holds(mark: Any, value: Any) -> bool:
             return bool(value >= bound)
         case AtMost(bound):
             return bool(value <= bound)
+        case Gap(low, high):
+            return not low < value < high * (1 - 1e-12)
         case _:
             return True
 

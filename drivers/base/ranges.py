@@ -43,6 +43,14 @@ class AtMost:
 
 
 @dataclass(frozen=True)
+class Gap:
+    """Open interval within a range that holds no real value: one in it was given in another unit."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class Count:
     """Number of entries of a list."""
 

@@ -162,6 +162,27 @@ def test_overlay_si_value_replaces_base_in_degrees(overlay: Overlay) -> None:
     assert load_configuration(overlay("[clubs.driver]\nloft = 0.2")).plant.robot.club.loft == 0.2
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("loft_deg = 0.2", "0.2, expected a finite number, 0 to 70 deg, none between 0 and 1.5."),
+        ("loft_deg = 1.22", "none between 0 and 1.5"),  # a wedge of 70 degrees
+        ("loft = 0.003", "none between 0 and 0.0261799"),
+        ("bulge_radius = 12", "12.0, expected a finite number, 0.05 to 1e6 m, none between 2 and 10000."),
+        ("roll_radius = 305.0", "none between 2 and 10000"),
+    ],
+)
+def test_overlay_club_value_in_another_unit_is_refused(overlay: Overlay, text: str, words: str) -> None:
+    (fault,) = faults(overlay(f"[clubs.driver]\n{text}"))
+    assert words in str(fault)
+
+
+@pytest.mark.parametrize("loft", [0.0, 1.5, 2.0, 3.5, 7.0])
+def test_overlay_loft_of_plate_putter_and_driver_is_accepted(overlay: Overlay, loft: float) -> None:
+    found = load_configuration(overlay(f"[clubs.driver]\nloft_deg = {loft}\nbulge_radius = 2.0"))
+    assert found.plant.robot.club.loft == pytest.approx(radians(loft))
+
+
 def test_overlay_of_overlay_overrides_values(overlay: Overlay, tmp_path: Path) -> None:
     overlay('[swing]\nball = "range"\n[bench]\nid = "one"')
     (tmp_path / "top.toml").write_text('base = "mine.toml"\n[bench]\nid = "two"\n')
