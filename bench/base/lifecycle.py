@@ -365,7 +365,7 @@ CAUSE_WORDS: dict[Cause, Words] = {
         "encoders and mechanical reference do not agree, or no index was found",
         "calibrate",
     ),
-    Cause.NOT_VENTED: ("the chambers did not empty in time", "do not approach: check vents and valves"),
+    Cause.NOT_VENTED: ("the chambers did not empty in time", "do not approach; press the emergency stop"),
     Cause.DEVICE_PASSIVE: (
         "the device went passive after a time-out of its commands",
         "read its fault in golfbench status, then reset",

@@ -60,6 +60,10 @@ def test_cause_text_is_unique_for_every_cause() -> None:
         assert text.strip() == text != ""
 
 
+def test_not_vented_action_requests_emergency_stop() -> None:
+    assert CAUSE_TEXT[Cause.NOT_VENTED].endswith("do not approach; press the emergency stop")
+
+
 def test_cause_joints_have_consecutive_numbers() -> None:
     names = (
         "ENCODER",
