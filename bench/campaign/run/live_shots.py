@@ -68,9 +68,11 @@ from sim.robot import Club
 _AT_THE_ROBOT = {
     Refusal.GUARD: "Leave the robot and close the guard.",
     Refusal.LOCAL_RESET: "Press the reset button next to the robot.",
-    Refusal.GAUGE: "Read the gauges, and press the reset button next to them.",
+    Refusal.GAUGE: "Lock the supply; once both gauges show 0, press the reset button next to them.",
 }
 """Refusals that a person at the robot can clear, and the actions."""
+_PERSON = 600.0
+"""Max time of a person for each of these actions (s)."""
 NO_WORD = "the launch monitor's process did not report the swing"
 
 
@@ -244,7 +246,7 @@ class LiveShots(ShotSource):
         )
         return Preparation(PromptKind.BENCH, text, {"profile": wanted, "club": arm.club})
 
-    def grant_access(self, kind: PromptKind) -> None:
+    def grant_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """Vent the robot and unlock the guard; for `PromptKind.BENCH` release the lease instead."""
         with _suspending():
             self.rest()
@@ -252,7 +254,7 @@ class LiveShots(ShotSource):
                 self._operator.release()
                 return
             self._operator.take_lease()
-            self._until(lambda status: status["state"] == "ACCESS", self._client.access)
+            self._until(lambda status: status["state"] == "ACCESS", self._client.access, ask)
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """Lock the guard once it is closed and the local reset button, if there is one, was pressed."""
@@ -266,11 +268,11 @@ class LiveShots(ShotSource):
         self,
         holds: Callable[[BenchStatus], bool],
         request: Callable[[], object],
-        ask: Callable[[str], None] = lambda text: None,
+        ask: Callable[[str], None],
     ) -> None:
         """Repeat the request until the bench accepts it: chambers must be empty, or the guard closed.
 
-        `ask` shows each new action for which the bench waits.
+        `ask` shows each new action for which the bench waits; a person has time for each.
         """
         deadline, shown = time.monotonic() + READY, ""
         while not holds(self._client.status()):
@@ -281,7 +283,7 @@ class LiveShots(ShotSource):
                     raise
                 action = _AT_THE_ROBOT.get(refused.refusal, shown)
                 if action != shown:
-                    shown = action
+                    shown, deadline = action, time.monotonic() + _PERSON
                     ask(action)
             self._operator.pause()
 

@@ -371,7 +371,7 @@ class Runner:
             if wish.kind not in (self._operator.kinds if self._operator else {PromptKind.BENCH}):
                 now = self._source.time_of(number)
                 prompt = self._prompt(wish, number, now)._replace(answered=now, by="simulation")
-                self._source.grant_access(wish.kind)
+                self._source.grant_access(wish.kind, self._ask_also)
                 self._source.resume_after_access(wish.kind, self._ask_also)
                 self._done_by_itself.append(prompt)
                 self._watcher.say(f"{wish.text} Done automatically by the simulation.")
@@ -408,7 +408,7 @@ class Runner:
 
     def _wait_for_answer(self, prompt: Prompt, kind: PromptKind) -> None:
         campaign, operator = self._entry.id, self._operator
-        self._source.grant_access(kind)
+        self._source.grant_access(kind, self._ask_also)
         self._stand(CampaignState.WAITING, prompt.text)
         if operator:
             operator.show(prompt)
@@ -432,7 +432,7 @@ class Runner:
         self._stand(CampaignState.RUNNING, "")
 
     def _ask_also(self, text: str) -> None:
-        """Show the work that remains after the answer."""
+        """Show work at the robot other than that of the prompt."""
         self._stand(CampaignState.WAITING, text)
 
     def _stand(self, state: CampaignState, reason: str) -> None:

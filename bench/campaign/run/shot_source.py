@@ -155,8 +155,11 @@ class ShotSource:
         """Return the restart of the bench that `step` requires; None if none."""
         return None
 
-    def grant_access(self, kind: PromptKind) -> None:
-        """Grant a person access to the robot, or to the whole bench. Raises Suspended as `take`."""
+    def grant_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+        """Grant a person access to the robot, or to the whole bench. Raises Suspended as `take`.
+
+        `ask` shows earlier work of the person, such as a reading of the gauges.
+        """
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """Continue after the person has confirmed the work, even if no access was granted. Raises Suspended.

@@ -62,7 +62,7 @@ class Rig(Scripted):
     def required_restart(self, step: Step) -> Preparation | None:
         return self.lacking
 
-    def grant_access(self, kind: PromptKind) -> None:
+    def grant_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         self.doors.append(f"{kind} open")
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
@@ -317,6 +317,22 @@ def test_runner_excluded_shot_prompts_feeder_reload(make: Callable[..., Series])
     series.run(Rig(lambda n: {"club_speed_mps": 50.0} if n == 3 else {}), person)
     assert [p.before_shot for p in series.prompts] == [1, 4]
     assert series.prompts[1].text.startswith("Empty the feeder, then fill it")
+
+
+def test_runner_work_before_access_is_shown_as_reason_of_waiting(make: Callable[..., Series]) -> None:
+    shown: list[tuple[CampaignState, str]] = []
+
+    class Gauged(Rig):
+        """Has no chamber sensors."""
+
+        def grant_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+            ask("Read the gauges.")
+            standing = series.store.standing(series.entry.id)
+            shown.append((standing.state, standing.reason))
+
+    series = make(ten_shots(magazine=10))
+    assert series.run(Gauged(), Person()).state is CampaignState.FINISHED
+    assert shown == [(CampaignState.WAITING, "Read the gauges.")]
 
 
 def test_runner_real_time_crash_prompts_feeder_reload(make: Callable[..., Series]) -> None:

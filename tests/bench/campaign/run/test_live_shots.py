@@ -14,6 +14,7 @@ from datetime import UTC, datetime, timedelta
 from functools import cache
 from itertools import chain, repeat
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -478,7 +479,7 @@ def test_live_shots_access_disarms_then_secures(plan: CampaignPlan) -> None:
 
     bench = Doors()
     with shots_of(plan, bench) as source:
-        source.grant_access(PromptKind.CLUB)
+        source.grant_access(PromptKind.CLUB, print)
         assert bench.asked == ["disarm", "access", "access"]
         source.resume_after_access(PromptKind.CLUB, print)
         assert bench.asked[3:] == ["secure"]
@@ -502,6 +503,29 @@ def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan)
     with shots_of(plan, bench) as source:
         source.resume_after_access(PromptKind.CLUB, asked.append)
     assert asked == ["Leave the robot and close the guard.", "Press the reset button next to the robot."]
+
+
+def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
+    plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+
+    class Gauged(StandingBench):
+        """Unlocks once a person has read the gauges, after minutes."""
+
+        def access(self) -> None:
+            now[0] += 25.0
+            if now[0] < 250.0:
+                raise refused(Verb.ACCESS, "READY", Refusal.GAUGE if now[0] > 25.0 else Refusal.NOT_VENTED)
+            self._status["state"] = "ACCESS"
+
+    asked: list[str] = []
+    monkeypatch.setattr(
+        "bench.campaign.run.live_shots.time", SimpleNamespace(monotonic=lambda: now[0], sleep=time.sleep)
+    )
+    with shots_of(plan, Gauged()) as source:
+        source.grant_access(PromptKind.CLUB, asked.append)
+    assert asked == ["Lock the supply; once both gauges show 0, press the reset button next to them."]
 
 
 def test_hindrance_missing_monitor_blocks_and_disabled_monitor_suspends(
