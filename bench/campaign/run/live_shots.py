@@ -24,11 +24,17 @@ from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import format_value
 from bench.base.lifecycle import Refusal, State
 from bench.campaign.plan.bench_setup import Preparation
-from bench.campaign.plan.carry import Measured, require_carry
+from bench.campaign.plan.carry import Measured
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Step
 from bench.campaign.run.corrections import CampaignCorrections, Drift
-from bench.campaign.run.plan_requirements import START_SERIES, Profiles, needs_series, series_words
+from bench.campaign.run.plan_requirements import (
+    START_SERIES,
+    Profiles,
+    machine_refusals,
+    needs_series,
+    series_words,
+)
 from bench.campaign.run.shot_source import (
     BlockingCondition,
     MonitorResult,
@@ -108,18 +114,9 @@ def require_live(
             expected = "a bench that holds the address between swings"
             raise Refused(f"bench {status['bench']}", series_words(plan), expected, START_SERIES)
         return
-    if plan.analysis.quantity != "club_speed_mps" and status["launch_monitor"] is None:
-        raise Refused(
-            f"{location}: analysis.quantity",
-            plan.analysis.quantity,
-            "club_speed_mps",
-            "This bench measures the club only: ball data need a launch monitor, [launch_monitor] "
-            "enabled = true.",
-        )
-    require_carry(plan, measured or {})
-    if not plan.ball_handling.magazine:
-        action = "A real feeder reads no numbers: a person fills it in the listed order and confirms it."
-        raise Refused(f"{location}: ball_handling", "magazine 0", "a magazine of at least 1", action)
+    monitored = status["launch_monitor"] is not None
+    if refusal := next(machine_refusals(plan, measured or {}, monitored=monitored), None):
+        raise refusal
 
 
 def _fits(

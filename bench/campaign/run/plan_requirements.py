@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import Engine
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, Refused
 from bench.calibration.archive import calibration_of, effective_calibration
 from bench.calibration.calibration import Calibration, Entry, apply
 from bench.campaign.plan.bench_setup import load_lists
+from bench.campaign.plan.carry import Measured, require_carry
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import all_trials, is_mounted
 from bench.campaign.statistics.block_model import as_split_plot, fully_randomised
@@ -112,6 +113,29 @@ def arming_problems(plan: CampaignPlan, configuration: Configuration, when: date
         faults = assess(mounted, calibration, profile, path, running=True).faults
         problems += [*faults, *calibration.problems(when)]
     return list({str(problem): problem for problem in problems}.values())
+
+
+def machine_refusals(plan: CampaignPlan, measured: Measured, *, monitored: bool) -> Iterator[Refused]:
+    """Yield the reasons why hardware, `monitored` by a launch monitor, cannot take the shots of `plan`.
+
+    `measured` are aerodynamics by ball.
+    """
+    location = f"plan {plan.campaign.name}"
+    if plan.analysis.quantity != "club_speed_mps" and not monitored:
+        yield Refused(
+            f"{location}: analysis.quantity",
+            plan.analysis.quantity,
+            "club_speed_mps",
+            "This bench measures the club only: ball data need a launch monitor, [launch_monitor] "
+            "enabled = true.",
+        )
+    try:
+        require_carry(plan, measured)
+    except Refused as refused:
+        yield refused
+    if not plan.ball_handling.magazine:
+        action = "A real feeder reads no numbers: a person fills it in the listed order and confirms it."
+        yield Refused(f"{location}: ball_handling", "magazine 0", "a magazine of at least 1", action)
 
 
 def _mount(

@@ -95,13 +95,16 @@ def check(
 ) -> None:
     """Check plan and bench before anything moves; print shot order, load lists and resolution.
 
-    Exits with 2 and lists all mistakes; with 1 if only a calibration blocks arming.
+    Exits with 2 and lists all mistakes; with 1 if only a calibration blocks arming, or if hardware cannot
+    take its shots.
     """
+    from bench.calibration.archive import newest_aerodynamics
     from bench.campaign.report.preview import preview_record, show_preview
     from bench.campaign.run.plan_requirements import (
         START_SERIES,
         arming_problems,
         free_space,
+        machine_refusals,
         needs,
         needs_series,
         needs_words,
@@ -111,9 +114,11 @@ def check(
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
     hits = Counter[Hit]()
+    measured: Measured = {}
     if has_store(configuration.bench):  # creates no database
         with open_store(configuration.bench) as store:
             hits = store.hits(configuration.bench.id)
+            measured = newest_aerodynamics(store.database, configuration.bench.id, plan.ball_names)
     if needs_series(plan, profiles.values()) and not configuration.lifecycle.hold_between_swings:
         series = f"On a running bench this plan needs the address held between swings. {START_SERIES}"
     warnings = [series] if series else []
@@ -132,8 +137,11 @@ def check(
         show_preview(plan, hits, console, everything=everything)
         for line in (*needs_words(plan, free), *warnings):
             console.print(line, highlight=False, markup=False)
-    if problems := arming_problems(plan, configuration, datetime.now(UTC)):
-        raise ExceptionGroup("arming blocked", problems)
+    problems = arming_problems(plan, configuration, datetime.now(UTC))
+    if configuration.driver.name != "sim":
+        problems += machine_refusals(plan, measured, monitored=configuration.launch_monitor.enabled)
+    if problems:
+        raise ExceptionGroup("refused by a running bench", problems)
 
 
 def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration, Profiles]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from bench.base.errors import Refused
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.run.plan_requirements import (
     START_SERIES,
@@ -50,6 +51,27 @@ def test_needs_series_narrow_gate_without_planned_air_requires_series() -> None:
 
     assert (needed(1.0, free), needed(2.5, free), needed(0.0, free)) == (True, False, False)
     assert (needed(1.0, planned), needed(1.0, planned, free)) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("base", "magazine", "refused"),
+    [
+        ("local_can", 0, ["analysis.quantity", "ball_handling"]),
+        ("local_can", 6, ["analysis.quantity"]),
+        ("shipped", 0, []),
+    ],
+)
+def test_campaign_check_lists_plan_keys_that_hardware_refuses(
+    tmp_path: Path, base: str, magazine: int, refused: list[str]
+) -> None:
+    file, plan = tmp_path / "bench.toml", tmp_path / "plan.toml"
+    file.write_text(f'base = "{base}"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n')
+    shipped = (resources.files("bench") / "campaigns" / "two-balls.toml").read_text()
+    plan.write_text(f"{shipped}\n[ball_handling]\nmagazine = {magazine}\n")
+    done = CliRunner().invoke(app, ["--config", str(file), "campaign", "check", str(plan)])
+    errors = done.exception.exceptions if isinstance(done.exception, ExceptionGroup) else ()
+    assert [error.location.rpartition(" ")[2] for error in errors if isinstance(error, Refused)] == refused
+    assert (done.exit_code == 0) is not bool(refused)
 
 
 def test_swings_of_other_clubs_action_is_complete_command() -> None:
