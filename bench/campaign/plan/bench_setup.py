@@ -84,7 +84,8 @@ def missing(
     empty = "Empty the feeder, then fill it" if fitting.feeder else "Fill the feeder"
     text = (
         f"{empty} {count}: {', '.join(places(balls))}. Balls kept at {handling.temperature - 273.15:.0f} ± "
-        f"{handling.temperature_tolerance:g} °C for {handling.conditioning_time / 3600:g} h."
+        f"{handling.temperature_tolerance:g} °C for {handling.conditioning_time / 3600:g} h. "
+        f"Check that club {arm.club} is mounted."
     )
     return Preparation(PromptKind.BALLS, text, {"balls": [list(ball) for ball in balls]})
 

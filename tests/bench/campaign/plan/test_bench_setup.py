@@ -348,6 +348,7 @@ def test_runner_real_time_crash_prompts_feeder_reload(make: Callable[..., Series
             series.run(Rig(dies), Person())
         series.run(Rig(), Person())
         assert [p.before_shot for p in series.prompts] == asked
+        assert series.prompts[-1].text.endswith("Check that club driver is mounted.")
 
 
 def test_coming_balls_lists_each_ball_once_across_club_changes() -> None:
