@@ -255,6 +255,7 @@ def test_call_order_live_works_or_raises_driver_error(calls: list[str]) -> None:
     call_in_order(calls, DRIVERS.values())
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(calls=any_calls)
 def test_call_order_lock_step_works_or_raises_driver_error(calls: list[str]) -> None:

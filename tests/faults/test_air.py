@@ -45,6 +45,7 @@ def test_vent_stuck_open_blocks_arming(workbench: Workbench, signal: str) -> Non
     assert case.head_share < 0.1
 
 
+@pytest.mark.slow
 def test_vents_stuck_shut_record_not_vented_until_rest(workbench: Workbench) -> None:
     """Both vents are held shut: the arm creeps as the air leaks, long after the chambers seem empty."""
     fault = Fault("vents stuck shut", "vents", "stuck", 1.0)

@@ -98,6 +98,7 @@ def test_encoder_lost_during_brake_keeps_stop_share_low(
     assert bench.loads().stop_share < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", release_except({"guard opened"}, STOPS))
 def test_fault_free_stop_is_not_escalated(workbench: Workbench, profile: Profile, stop: str) -> None:
     for instant in instants_of(profile):

@@ -10,6 +10,7 @@ from sim.plant import PlantParameters
 from tests.benchmarks.healthy_swings import run
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
 def test_fault_free_swings_raise_no_alarm() -> None:
     (row,) = run(["--swings", "12"])

@@ -66,6 +66,7 @@ def test_next_swing_after_emergency_stop_strikes_ball(workbench: Workbench) -> N
     assert bench.plant_state["struck"][0]
 
 
+@pytest.mark.slow
 @needs_speed
 def test_next_swing_permanent_fault_reports_cause_or_refusal(workbench: Workbench) -> None:
     bench = workbench.base(HOLD)

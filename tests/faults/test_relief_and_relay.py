@@ -63,6 +63,7 @@ def test_manifold_pressure_fault_free_swing_stays_below_relief(
     assert supply.pressure < highest_supply(workbench) + 1e3 < 0.95 * supply.manifold_relief_pressure
 
 
+@pytest.mark.slow
 def test_supply_surge_when_committed_limits_head_speed(
     high_speed: Workbench,
 ) -> None:
@@ -103,6 +104,7 @@ def test_vents_stuck_shut_emergency_stop_opens_vents(workbench: Workbench) -> No
     assert np.all(bench.plant_state["pressure"][0] < 1.5e5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [90000, 90001, 90002, 90003])
 def test_fault_free_emergency_stop_is_not_escalated(configuration: Configuration, seed: int) -> None:
     """Spools that braked on behind the relay let the arm fall, and its blow was taken for a wrong encoder."""

@@ -28,6 +28,7 @@ def run(
     return case.verdict, case.detected_by, case.detection_ticks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("instant", [BEFORE, INSIDE], ids=lambda instant: instant.label)
 def test_guard_locked_stuck_in_access_reports_guard_lock(workbench: Workbench, instant: Instant) -> None:
     verdict, found, _ = run(workbench, "guard locked", "stuck", 1.0, instant)

@@ -46,6 +46,7 @@ def records(environment: Mapping[str, str]) -> bytes:
     return run.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="there is nothing compiled to compare with")
 def test_lockstep_compiled_and_plain_python_give_equal_records() -> None:
     compiled, plain = records({"NUMBA_DISABLE_JIT": "0"}), records({"NUMBA_DISABLE_JIT": "1"})

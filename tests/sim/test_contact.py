@@ -111,6 +111,7 @@ def test_contact_impulse_matches_fine_step_reference(
     assert share == pytest.approx(_finer(slope, e, 0.4, stiffness, loss), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_collide_random_impacts_conserve_momentum_and_gain_no_energy() -> None:
     random = np.random.default_rng(20)
     worst_momentum = worst_turning = most_energy = 0.0

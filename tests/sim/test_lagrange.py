@@ -83,6 +83,7 @@ def lagrange() -> Equations:
     return _derive()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("club", [Club.thesis(), Club.driver()], ids=lambda club: club.name)
 def test_kane_equals_lagrange(lagrange: Equations, club: Club) -> None:
     robot = thesis_robot(club)

@@ -55,6 +55,7 @@ def _page(store: CampaignStore, campaign: str) -> str:
     return render_campaign_report(record, findings(record.plan, record.shots, []))
 
 
+@pytest.mark.slow
 def test_exclude_shot_changes_results_and_keeps_record(store: CampaignStore, taken: CampaignRecord) -> None:
     campaign, before = taken.entry.id, store.shots(taken.entry.id)
     page = _page(store, campaign)
@@ -113,6 +114,7 @@ def test_exclude_shot_undo_is_listed_in_report(store: CampaignStore, taken: Camp
     assert verify_page(record, page, "report.html").differences == ()
 
 
+@pytest.mark.slow
 def test_campaign_report_exclusion_states_previous_look(taken: CampaignRecord) -> None:
     def seen(exclusion: ShotExclusion, *looks: Event, state: CampaignState = CampaignState.STOPPED) -> str:
         shots = with_exclusions(taken.shots, [exclusion])

@@ -170,6 +170,7 @@ def test_issue_report_numbers_issues_and_amendment_requires_reason(
     assert [event.date for event in second.issues] == [NOW, datetime(2026, 11, 23, 12, tzinfo=UTC)]
 
 
+@pytest.mark.slow
 def test_campaign_report_issued_shows_number_on_every_page(record: CampaignRecord) -> None:
     issued = replace(record, events=[*record.events, Event(NOW, 41, "issue", "issued by Ann")])
     page = render_campaign_report(issued, findings(issued.plan, issued.shots))

@@ -410,6 +410,7 @@ def _measured(monkeypatch: pytest.MonkeyPatch, *steps: _Swinging) -> None:
     monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", steps)
 
 
+@pytest.mark.slow
 def test_commission_swings_use_measured_values(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -426,6 +427,7 @@ def test_commission_swings_use_measured_values(
     assert [step.name for step in read_state(tmp_path / "day").done] == ["inputs", "swings", "learning"]
 
 
+@pytest.mark.slow
 def test_commission_failed_learning_exits_with_1_and_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -448,6 +450,7 @@ def test_commission_failed_learning_exits_with_1_and_resumes(
     assert (len(first.knew), len(last.knew)) == (2, 2)
 
 
+@pytest.mark.slow
 def test_commission_resume_edited_robot_file_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -196,6 +196,7 @@ def test_address_pose_ball_out_of_reach_raises() -> None:
         address_pose(far, SwingDemand())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "variant", "speed"), release_except(SAMPLE, SHIPPED))
 def test_shipped_profile_delivers_in_closed_loop(name: str, variant: str, speed: float) -> None:
     bench = _bench(name, variant)
@@ -250,6 +251,7 @@ def test_rehearsal_matches_simulated_swing_per_tick() -> None:
         assert np.array_equal(cycles[name], told[name])
 
 
+@pytest.mark.slow
 def test_solve_downswing_coarse_plan_meets_demand_reproducibly(plant: PlantParameters) -> None:
     """The shipped swing's downswing planned anew on a coarse mesh, a little slower."""
     bench = SimulatedBench(load_profile(find_profile("driver-85mph")))

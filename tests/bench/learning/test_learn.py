@@ -50,6 +50,7 @@ def result(problem: LearningProblem) -> LearningResult:
     return learn(problem, on_series(problem, Series(BENCH, WORN)))
 
 
+@pytest.mark.slow
 def test_learn_worn_robot_reaches_planned_delivery(problem: LearningProblem, result: LearningResult) -> None:
     before, kept = result.attempts[0], result.attempts[result.chosen]
     alike = [result.error(one) for one in result.attempts if np.array_equal(one.point, kept.point)]

@@ -129,6 +129,7 @@ def test_sweep_engine_invalid_address_raises_error(address: str) -> None:
             pass
 
 
+@pytest.mark.slow
 def test_cluster_command_remote_host_without_certificate_is_rejected() -> None:
     command = [sys.executable, "-m", "bench", "cluster", "--host", "192.0.2.1"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

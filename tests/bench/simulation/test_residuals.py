@@ -59,6 +59,7 @@ def _worn(plant: PlantParameters, band: float) -> PlantParameters:
     return replace(plant, wrist=replace(plant.wrist, valve=valve))
 
 
+@pytest.mark.slow
 @needs_speed
 def test_wear_command_worn_valve_names_joint_before_swing_stops(
     configuration: Configuration, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -112,6 +112,7 @@ def test_sweep_dead_process_cases_run_again_once(tmp_path: Path) -> None:
     assert len(lines) == 1 + 20 + 1
 
 
+@pytest.mark.slow
 def test_sweep_repeatedly_dying_processes_raise_error() -> None:
     with pytest.raises(BenchError, match="died 3 times in a row"):
         sweep(Deadly(), range(4), LocalProcesses(2))

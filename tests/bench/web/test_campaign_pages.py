@@ -217,6 +217,7 @@ def test_campaign_mark_stores_note(page: RunningPage, configuration: Configurati
         assert [(note.shot, note.by, note.text) for note in store.notes(OPEN)] == [(3, "Ann", SCRIPT)]
 
 
+@pytest.mark.slow
 def test_running_campaigns_read_changed_details_only(
     configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -186,6 +186,7 @@ def test_commissioning_page_end_without_learned_swing_is_no_fault(
         assert said["text"] == ""
 
 
+@pytest.mark.slow
 def test_commissioning_page_stops_process_of_earlier_page(
     page: RunningPage, configuration: Configuration
 ) -> None:

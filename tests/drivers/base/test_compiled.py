@@ -91,6 +91,7 @@ def run(copy: Path) -> tuple[int, int]:
     )
 
 
+@pytest.mark.slow
 def test_compiled_inner_functions_return_no_arrays() -> None:
     """Numba does not notice: the caller would free an array that is still in use."""
     paths = (path for package in ("bench", "drivers", "sim") for path in (TOP / package).rglob("*.py"))
@@ -106,6 +107,7 @@ def test_compiled_inner_functions_return_no_arrays() -> None:
     assert not {name: kind for name, kind in returned.items() if "Any" in kind or "rray" in kind}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 def test_compiled_changed_enum_recompiles(copy: Path) -> None:
     assert run(copy) == (8, 1)
@@ -137,6 +139,7 @@ def test_compiled_calls_with_constants_and_enums_share_one_version() -> None:
     assert len(_twice.signatures) == 1  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 def test_compiled_unreadable_cache_recompiles(copy: Path, suffix: str) -> None:
@@ -147,6 +150,7 @@ def test_compiled_unreadable_cache_recompiles(copy: Path, suffix: str) -> None:
         assert run(copy) == (8, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 def test_compiled_call_old_or_unreadable_cache_recompiles(copy: Path) -> None:
     (copy / "bench/control/native_example.py").write_text(NATIVE)

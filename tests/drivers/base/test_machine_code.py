@@ -57,6 +57,7 @@ def has_compiled_function(tree: ast.Module) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_compiled_sources_contain_all_imported_files() -> None:
     trees = parsed()
     reached = set[str]()
@@ -86,6 +87,7 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_source_digest_covers_only_compiled_sources(copy: Path) -> None:
     digest = source_digest(copy)
     assert digest == source_digest() == source_digest(copy)
@@ -111,6 +113,7 @@ def test_module_digests_change_only_for_importing_modules(copy: Path) -> None:
     assert not renewed & {"sim.kane", "sim.dynamics", "sim.flight", "bench.control.envelope", "sim.driver"}
 
 
+@pytest.mark.slow
 def test_compiled_functions_call_no_argument() -> None:
     """Its machine code would contain a function that its module does not import."""
     found = []

@@ -27,6 +27,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault", release_except({"the bench silent", "an encoder's positions missing"}, CASES)
 )
@@ -65,6 +66,7 @@ def assert_alike(found: Contact, expected: Contact, speed: float) -> None:
     assert found.head == pytest.approx(expected.head, abs=0.01)
 
 
+@pytest.mark.slow
 def test_canopen_swing_delivery_matches_sim_driver(configuration: Configuration, by_sim: Contact) -> None:
     bench, driver, _ = on_canopen(configuration)
     assert_alike(swung(bench), by_sim, speed=0.03)
@@ -72,6 +74,7 @@ def test_canopen_swing_delivery_matches_sim_driver(configuration: Configuration,
     assert (counters.missing, counters.late, counters.duplicates, driver.fault) == (0, 0, 0, "")
 
 
+@pytest.mark.slow
 def test_swing_over_bus_with_spool_feedback_not_stopped(
     configuration: Configuration, by_sim: Contact
 ) -> None:

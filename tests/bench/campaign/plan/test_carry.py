@@ -174,6 +174,7 @@ def test_new_entry_stores_measured_aerodynamics(configuration: Configuration) ->
     assert new_entry(plan, configuration, NOW, simulated=False).calibrations == {}
 
 
+@pytest.mark.slow
 def test_campaign_report_hardware_omits_simulation_parameters(
     configuration: Configuration,
 ) -> None:

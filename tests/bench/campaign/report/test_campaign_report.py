@@ -109,6 +109,7 @@ def _words(text: str) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", re.sub(r"<(svg|style).*?</\1>", "", text, flags=re.S)))
 
 
+@pytest.mark.slow
 def test_campaign_report_verdict_precedes_tables_and_figures(text: str) -> None:
     verdict = text.index("pole has")
     assert verdict < text.index("<table")

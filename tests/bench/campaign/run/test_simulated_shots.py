@@ -50,6 +50,7 @@ def _take(source: SimulatedShots, plan: CampaignPlan, number: int, sample: int =
     return source.take(Step(all_trials(plan)[number], 1, Centre()), number, sample)
 
 
+@pytest.mark.slow
 def test_simulated_shots_are_independent_of_previous_shots(
     source: SimulatedShots, plan: CampaignPlan, configuration: Configuration, profiles: AsDesigned
 ) -> None:

@@ -134,6 +134,7 @@ def _verdict(plan: CampaignPlan, truth: Truth, seed: int) -> str:
     return result.pairs[0].verdict
 
 
+@pytest.mark.slow
 def test_analyse_two_shots_of_each_alike_ball_rarely_differ(plan: CampaignPlan) -> None:
     names = tuple("abcdef")
     balls = {name: replace(next(iter(plan.balls.values())), name=name) for name in names}
@@ -258,6 +259,7 @@ def test_repeatability_excludes_warm_up() -> None:
     assert figure.blocks == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", release_except(SAMPLE, cases(), lambda case: case.name), ids=lambda case: case.name
 )

@@ -74,6 +74,7 @@ def call(tmp_path: Path) -> Call:
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn_here")
 def test_campaign_commands_simulated_run_to_issued_and_verified_report(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

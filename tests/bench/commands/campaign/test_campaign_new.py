@@ -44,6 +44,7 @@ def test_campaign_new_writes_commented_plan_with_computed_blocks(call: Call, tmp
     assert call("check", "two-balls.toml").exit_code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--control", "range")], ids=" ".join)
 @pytest.mark.parametrize("difference", release_except({"1.5"}, ["1", "1.5", "2.74"]))
 def test_campaign_new_computed_blocks_are_fewest_for_power(

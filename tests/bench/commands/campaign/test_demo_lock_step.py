@@ -59,6 +59,7 @@ def _swings(folder: Path) -> list[Path]:
     return sorted(folder.glob("bench/campaigns/*/swings/*.parquet"))
 
 
+@pytest.mark.slow
 def test_demo_writes_report_recording_table_database_and_swings(folder: Path) -> None:
     top = {path.name for path in folder.iterdir()}
     assert top == {"report.html", "demo.rrd", "shots.csv", "bench"}
@@ -96,6 +97,7 @@ def test_demo_swing_record_has_shot_and_varied_supply(folder: Path) -> None:
     assert 0 < abs(supply / load_configuration().plant.supply.pressure - 1) < 0.005
 
 
+@pytest.mark.slow
 def test_demo_same_seed_repeats_shots_and_other_seed_differs(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -114,6 +116,7 @@ def test_demo_same_seed_repeats_shots_and_other_seed_differs(
     assert _figures(read_shot_table(tmp_path / "other" / "shots.csv")) != _figures(again)
 
 
+@pytest.mark.slow
 def test_demo_failed_swings_are_reported_with_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -154,6 +154,7 @@ def test_doctor_package_probes_without_metadata_report_missing(monkeypatch: pyte
     assert "golfbench" in finding.value
 
 
+@pytest.mark.slow
 def test_doctor_compiled_code_reports_cold_warm_and_read_only_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

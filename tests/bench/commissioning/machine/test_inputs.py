@@ -153,6 +153,7 @@ EVERYDAY = (FAULTS[0], FAULTS[5], FAULTS[8])
 """Bridged, exchanged, welded."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "location", "words"),
     [pytest.param(*case, marks=() if case in EVERYDAY else pytest.mark.release) for case in FAULTS],
@@ -166,6 +167,7 @@ def test_check_inputs_injected_fault_is_found(
     assert all(one.expected and one.action for one in findings)
 
 
+@pytest.mark.slow
 def test_check_inputs_supply_span_error_is_found_by_gauge(
     wired: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,6 +186,7 @@ def test_check_inputs_supply_span_error_is_found_by_gauge(
     assert "by the gauge" in findings[-1].found
 
 
+@pytest.mark.slow
 def test_check_inputs_unproven_guard_keeps_supply_off(wired: Configuration) -> None:
     turned = list[float]()
     with SimulatedMachine(wired.plant, wired.plant, (broken("guard closed", "stuck", 1.0),)) as machine:
@@ -210,6 +213,7 @@ def test_check_inputs_stuck_open_spool_ends_check(wired: Configuration, measured
     assert machine.loads.peak_head_speed < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", release_except((408,), (31, *range(400, 440))))
 def test_check_inputs_spool_offsets_give_no_finding(wired: Configuration, seed: int) -> None:
     robot = drawn_robot(seed, wired.plant)
@@ -229,6 +233,7 @@ def test_check_inputs_supply_pressure_present_is_refused(wired: Configuration) -
         assert not machine.driver.applied.supply_enable
 
 
+@pytest.mark.slow
 def test_check_inputs_gauge_without_air_is_refused(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
         own = machine.hands
@@ -253,6 +258,7 @@ def test_check_inputs_without_gauge_is_refused(wired: Configuration) -> None:
             check_inputs(machine, hands, wired)
 
 
+@pytest.mark.slow
 def test_check_inputs_unfitted_inputs_are_skipped(configuration: Configuration) -> None:
     plant = replace(configuration.plant, vent_feedback=False, pressure_sensors=False)
     c = replace(configuration, plant=plant)
@@ -339,6 +345,7 @@ def test_see_inputs_runs_first_and_repeats_when_due(
     assert step_0("") == 3, "due again"
 
 
+@pytest.mark.slow
 def test_calibrate_inputs_sim_reports_all_changes(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["calibrate", "inputs", "--sim"])

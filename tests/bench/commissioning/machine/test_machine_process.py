@@ -228,6 +228,7 @@ def test_machine_server_arms_and_swings_with_and_without_ball(
     assert driver.commands[-1] == PASSIVE
 
 
+@pytest.mark.slow
 @needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_arm_refused_briefly_is_repeated(
@@ -270,6 +271,7 @@ def test_machine_server_arm_refused_reports_state_and_reason(
     server.obey("vent", 40.0)
 
 
+@pytest.mark.slow
 @needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_release_guard_shuts_supply_until_lock_guard(
@@ -310,6 +312,7 @@ def test_machine_server_stop_in_swing_is_refused(
     server.close()
 
 
+@pytest.mark.slow
 @needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
@@ -338,6 +341,7 @@ def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
     assert "stall of this machine" in repeated
 
 
+@pytest.mark.slow
 @needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_arm_stopped_by_stall_is_repeated_and_reported(
@@ -371,6 +375,7 @@ def test_machine_server_arm_stopped_by_stall_is_repeated_and_reported(
     server.obey("vent", 40.0)
 
 
+@pytest.mark.slow
 @needs_speed
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("stalls", "ends"), [(ADDRESS_TRIES + 1, False), (99, True)])
@@ -421,6 +426,7 @@ def test_machine_server_stall_in_each_arming_ends_named_as_stall(
     assert sum("it is armed again" in text for text in said) == 2
 
 
+@pytest.mark.slow
 @needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_swing_without_ball_is_refused(

@@ -38,6 +38,7 @@ def later(pressure: np.ndarray) -> np.ndarray:
     return np.roll(pressure, 2, axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seen", "dead_time", "tolerance"),
     [(lambda pressure: pressure, 0.0, 2e-5), (later, 0.002, 2e-5), (held, 0.0005, 3e-4)],

@@ -247,6 +247,7 @@ def test_rising_swings_full_swing_uses_generated_limits(
     assert made == ["slower False False", "limits of default", "default True True"]
 
 
+@pytest.mark.slow
 def test_swung_slowly_stopped_swing_is_designed_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:

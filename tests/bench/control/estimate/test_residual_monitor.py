@@ -97,6 +97,7 @@ def test_model_cause_flow_over_limit_reports_sensor_or_flow(joint: int, side: in
     assert judged(model, estimator) is Cause[f"{name}_FLOW"]
 
 
+@pytest.mark.slow
 def test_observe_flow_keeps_lasting_residual_and_damps_single_sample() -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 5)
@@ -457,6 +458,7 @@ def test_observe_follows_measured_pressure() -> None:
     assert abs(model["residual"][0, 1]) < 2e3
 
 
+@pytest.mark.slow
 @needs_speed
 def test_residual_monitor_fault_free_swing_stays_below_limits() -> None:
     profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")

@@ -53,6 +53,7 @@ PLANTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", release_except({"shipped", "worn"}, PLANTS))
 def test_machine_gains_each_pose_keeps_margins(name: str) -> None:
     """Also between the poses by which the gains were found."""
