@@ -233,7 +233,7 @@ class LaunchMonitorServer:
             if client.writer.transport.get_write_buffer_size():  # it does not read
                 client.writer.transport.abort()
             client.writer.close()
-        while self._clients:
+        while len(asyncio.all_tasks()) > 1:  # also connections that wait for room, or were just accepted
             await asyncio.sleep(0.001)
 
     async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

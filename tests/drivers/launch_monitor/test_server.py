@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import json
 import os
 import socket
@@ -14,7 +15,7 @@ from drivers.base import DriverError
 from drivers.launch_monitor import server as server_module
 from drivers.launch_monitor.open_connect import write_heartbeat
 from drivers.launch_monitor.record import ClubRecord, RefusedRecord
-from drivers.launch_monitor.server import LaunchMonitorServer
+from drivers.launch_monitor.server import MAX_CONNECTIONS, LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings, SimulatorSettings
 from tests.drivers.launch_monitor.stream import LAUNCH, receive, shot, wait_for
 
@@ -379,6 +380,20 @@ def test_server_close_ends_during_connection(clock: Clock) -> None:
             closing.start()
             closing.join(10.0)
             assert not closing.is_alive()
+
+
+def test_server_close_with_waiting_connections_leaves_no_socket_open(clock: Clock) -> None:
+    for pause in 4 * (0.0, 0.001, 0.02):
+        before = len(os.listdir("/proc/self/fd"))
+        server = LaunchMonitorServer(LaunchMonitorSettings(), port=0, clock=clock)
+        server.open()
+        clients = [socket.create_connection(server.address) for _ in range(MAX_CONNECTIONS + 4)]
+        time.sleep(pause)
+        server.close()
+        assert len(os.listdir("/proc/self/fd")) == before + len(clients)
+        for client in clients:
+            client.close()
+    gc.collect()  # a transport that nobody closed warns here
 
 
 def test_server_port_in_use_is_refused(server: LaunchMonitorServer) -> None:
