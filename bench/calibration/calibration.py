@@ -425,10 +425,11 @@ class Calibration:
         for kind in (kind for kind in self.nominal if kind not in unreadable):
             name = f"club {self.club}" if kind is CalibrationKind.CLUB else kind
             where, code = f"{name} of bench {self.bench}", Block.CALIBRATION_MISSING
-            fact = "never calibrated"
+            fact, action = "never calibrated", f"golfbench calibrate {kind}"
             if kind is CalibrationKind.BALL and self.moved is not None:
                 fact = f"calibrated for the tee of another club ({self.moved.name})"
-            expected, action = "a calibration in force, as on every machine", f"golfbench calibrate {kind}"
+                action = f'set the tee for club {self.club}, then {action} with swing.club = "{self.club}"'
+            expected = "a calibration in force, as on every machine"
             found.append(CalibrationProblem(code, where, fact, expected, action))
         return found
 

@@ -13,6 +13,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from io import TextIOWrapper
@@ -47,7 +48,7 @@ EXIT_CODES: Mapping[ExitCode, tuple[str, str]] = {
     ),
     ExitCode.DEVICE: ("a device or service does not work", "check cable, power, driver, port"),
     ExitCode.INTERNAL: ("internal error of golfbench", "report it with the output of `golfbench --debug`"),
-    ExitCode.FILE: ("a file or folder cannot be read or written", "check path, rights, disk space"),
+    ExitCode.FILE: ("a file, folder or pipe cannot be read or written", "check path, rights, disk space"),
     ExitCode.NO_ANSWER: (
         "no answer from the bench: not running, or access denied",
         "start it; check `[network]` and the certificate",
@@ -278,7 +279,8 @@ def report_errors(work: Callable[[], object], session: Session) -> int:
         if session.debug:
             traceback.print_exception(error)
         texts, code = explain(error)
-        print(*texts, sep="\n", file=sys.stderr)
+        with suppress(BrokenPipeError):
+            print(*texts, sep="\n", file=sys.stderr)
     return code if isinstance(code, int) else ExitCode.OK
 
 

@@ -195,6 +195,6 @@ def note_look(store: CampaignStore, record: CampaignRecord, occasion: str) -> li
     looks = [event.before_shot - 1 for event in record.events if event.kind == KIND]
     if record.standing.state is CampaignState.FINISHED or not shots or shots in looks:
         return looks
-    text = f"look at {shots} shots: {occasion}"
+    text = f"interim analysis of {shots} shots: {occasion}"
     store.add(record.entry, (), [Event(datetime.now(UTC), shots + 1, KIND, text)])
     return [*looks, shots]

@@ -34,6 +34,8 @@ _MAX_DIFFERENCES = 10
 """Max number of reported differences of one kind."""
 _TOLERANCE = 1e-9
 """Share by which a figure may differ: libraries of another machine round differently."""
+_TEXTS = re.compile(r"\.(headline|detail|notes\.\d+)$")
+"""Paths of texts, which another version words differently; the page of this version is compared with them."""
 _DATA = re.compile(r'<script type="application/json" id="record">(.*?)</script>', re.DOTALL)
 _TODAY = re.compile(r"<section data-today>.*?</section>", re.DOTALL)
 """Sections of a page that change after the campaign, such as the wear of the bench's parts."""
@@ -151,7 +153,7 @@ def _figures(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
-    for path in sorted(before.keys() | now.keys()):
+    for path in sorted(path for path in before.keys() | now.keys() if not _TEXTS.search(path)):
         one, two = before.get(path), now.get(path)
         if isinstance(one, float | int) and isinstance(two, float | int):
             if not isclose(one, two, rel_tol=_TOLERANCE, abs_tol=1e-12):

@@ -138,7 +138,7 @@ def ball(
     note: Note = "",
     json_: Json = False,
 ) -> None:
-    """Set the position of the ball's centre on its tee, in the swing plane."""
+    """Set the position of the ball's centre on its tee, in the swing plane, for the configured club."""
     from bench.calibration.calibration import CalibrationKind
 
     mounted = context.ensure_object(Session).configuration().swing.club

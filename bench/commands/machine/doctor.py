@@ -172,7 +172,7 @@ def probes(data_dir: Path) -> tuple[Probe, ...]:
         Probe("machine", "data folder", functools.partial(data_folder, data_dir), required=True),
         *package_probes(),
         Probe("packages", "compiled code", compiled_code),
-        Probe("packages", "Kalman filter", kalman_filter),
+        Probe("packages", "Kalman filter", kalman_filter, required=True),
         *extra_probes(),
         *realtime_probes(),
         Probe("CAN", "SocketCAN", socketcan),
@@ -561,12 +561,14 @@ def attached_daq_cards() -> dict[str, Any]:
 
 
 def _compiled_code() -> dict[str, Any]:
-    """Return the folder in which this installation keeps its machine code, and the functions it has there."""
+    """Return the folder of this installation's machine code, and the functions there once a bench has run."""
     from drivers.base.machine_code import cache_folder, module_digests
 
     folder = cache_folder()
-    versions = [folder / module / digest for module, digest in module_digests().items()]
-    return {"folder": str(folder), "functions": sum(1 for one in versions for _ in one.rglob("*.nbc"))}
+    kept = {
+        name: len([*(folder / name / digest).rglob("*.nbc")]) for name, digest in module_digests().items()
+    }
+    return {"folder": str(folder), "functions": sum(kept.values()) if kept["bench.control.step"] else 0}
 
 
 def _filter_difference() -> dict[str, float]:

@@ -140,7 +140,8 @@ def test_calibration_of_tee_elsewhere_is_not_in_force(
     assert (found.of(CalibrationKind.BALL), found.moved) == ((entry, None) if in_force else (None, entry))
     texts = [problem.text for problem in found.problems(NOW) if "ball" in problem.text]
     wrong = "ball of bench bench1 calibrated for the tee of another club (calibration ball version 1)"
-    assert texts == ([] if in_force else [f"{wrong}: golfbench calibrate ball"])
+    action = f'set the tee for club {mounted}, then golfbench calibrate ball with swing.club = "{mounted}"'
+    assert texts == ([] if in_force else [f"{wrong}: {action}"])
 
 
 def test_add_calibration_supersedes_date_ahead_of_clock(database: Engine) -> None:

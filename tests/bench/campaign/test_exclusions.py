@@ -131,7 +131,7 @@ def test_campaign_report_exclusion_states_previous_look(taken: CampaignRecord) -
 
     last = len(taken.shots)
     exclusion = ShotExclusion(9, LATER, "Ann", "a gust", True, 20)
-    look = Event(LATER - timedelta(1), 11, "look", "look at 10 shots: report")
+    look = Event(LATER - timedelta(1), 11, "look", "interim analysis of 10 shots: report")
     assert seen(exclusion) == "no"
     assert seen(exclusion, look) == "yes"
     assert seen(exclusion, look._replace(date=LATER + timedelta(1))) == "no"

@@ -105,7 +105,7 @@ def test_note_look_unfinished_campaign_stores_event(plan: CampaignPlan, tmp_path
         store.add(entry, shots[10:20])
         assert note_look(store, load_record(store, entry), "end of a run") == [10, 20]
         (first, second) = (event for event in store.events(entry.id) if event.kind == "look")
-        assert first.text == "look at 10 shots: report"
+        assert first.text == "interim analysis of 10 shots: report"
         assert second.before_shot == 21
         store.add(entry, shots[20:])
         store.change(entry.id, state=CampaignState.FINISHED)

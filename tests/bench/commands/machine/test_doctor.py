@@ -162,15 +162,28 @@ def test_doctor_compiled_code_reports_cold_warm_and_read_only_cache(
     cold = doctor.compiled_code()
     assert cold.status is CheckStatus.LIMITED
     assert cold.value.startswith("cold")
-    folder = cache_folder() / "sim.kane"
-    for version in (module_digests()["sim.kane"], "0123456789abcdef"):
-        (folder / version / "sim").mkdir(parents=True)
-        (folder / version / "sim" / "f.nbc").touch()
+    digests = module_digests()
+    for module, *versions in (("sim.kane", "0123456789abcdef"), ("bench.control.step",)):
+        assert doctor.compiled_code().value.startswith("cold")  # as after the check of the Kalman filter
+        for version in (digests[module], *versions):
+            (cache_folder() / module / version).mkdir(parents=True)
+            (cache_folder() / module / version / "f.nbc").touch()
     warm = doctor.compiled_code()
     assert warm.status is CheckStatus.OK
-    assert warm.value.startswith("warm, 1 functions")
+    assert warm.value.startswith("warm, 2 functions")
     monkeypatch.setattr("os.access", lambda *_: False)
     assert "not writable" in doctor.compiled_code().value
+
+
+@pytest.mark.parametrize("difference", [2e-9, float("nan")])
+def test_doctor_kalman_filter_other_than_filterpy_is_not_usable(
+    monkeypatch: pytest.MonkeyPatch, difference: float
+) -> None:
+    monkeypatch.setattr(doctor, "_child", lambda _: json.dumps({"difference_rad_per_s": difference}))
+    (probe,) = (one for one in doctor.probes(Path()) if one.item == "Kalman filter")
+    findings = [*doctor.examine([probe])]
+    assert findings[0].status is CheckStatus.MISSING
+    assert not doctor.usable(findings)
 
 
 # The machine -----------------------------------------------------------------------------------------
