@@ -160,7 +160,7 @@ def test_index_homing_open_guard_brakes_and_latches_fault(make_bench: MakeBench)
     bench.advance(5500)  # by then the arm is pressed against its stop
     assert bench.state.control["phase"][0] == Phase.HOMING
     bench.plant_state["guard_closed"] = False
-    records = bench.advance(2000)
+    records = bench.advance(800)
     assert (records["reaction"][1], records["state"][1]) == (Reaction.BRAKE, State.HOMING)
     assert (state(bench), cause(bench)) == (State.FAULT, Cause.GUARD)
     assert not bench.state.control["homed"][0]

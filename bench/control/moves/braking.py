@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.control.estimate.air import conductance_of_vents
+from bench.control.moves.first_motion import centre_unanswered
 from bench.control.states import enter_standstill, is_slow_now
 from drivers.base.compiled import compiled
 from sim.plant import PlantParameters
@@ -77,6 +78,7 @@ def brake(state: Any, parameters: Any, readings: Any, trusted: bool, time: float
     """
     s, e = state.control[0], state.estimator[0]
     brake_openings(s, parameters.control[0], e)
+    centre_unanswered(s)
     for i in range(3):
         s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
     if conductance_of_vents(parameters.plant[0], readings[0], s.venting.timer) > 0.0:
@@ -125,6 +127,7 @@ def brake_blind(state: Any, parameters: Any, time: float) -> None:
             longest = max(longest, duration)
             if since < duration:
                 s.desired[i] = parameters.blind_brake[s.blind_row, i]
+    centre_unanswered(s)
     rests = time - s.still_since >= p.rest_time or since >= p.brake_timeout
     if since >= longest + p.open_loop_settling_time and rests:
         enter_standstill(s, parameters, time)

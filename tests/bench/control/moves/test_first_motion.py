@@ -11,7 +11,13 @@ import pytest
 from bench.base.lifecycle import Cause, Phase
 from bench.control.estimate.estimator import ESTIMATOR_STATE
 from bench.control.law.pid import PID_STATE
-from bench.control.moves.first_motion import bound_first, first_motion_cause, forget_answers, note_answers
+from bench.control.moves.first_motion import (
+    bound_first,
+    centre_unanswered,
+    first_motion_cause,
+    forget_answers,
+    note_answers,
+)
 from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE
 from drivers.base.compiled import new_record
 
@@ -126,3 +132,13 @@ def test_first_motion_cause_fast_unanswered_joint_reports_following(
     assert cause == Cause.WRIST_FOLLOWING
     joints.state["first_motion"]["answered"][0, 2] = 1
     assert first_motion_cause(joints.state[0], joints.parameters[0], velocity) == 0
+
+
+@pytest.mark.parametrize(
+    ("phase", "left"), [(Phase.HOMING, 0.0), (Phase.RETURN, 0.0), (Phase.DOWNSWING, 0.5)]
+)
+def test_centre_unanswered_in_slow_move_closes_valve(joints: Joints, phase: Phase, left: float) -> None:
+    joints.state["phase"], joints.state["desired"] = phase, 0.5
+    joints.state["first_motion"]["answered"][0, 1] = 1
+    centre_unanswered(joints.state[0])
+    assert joints.state["desired"][0].tolist() == [left, 0.5, left]
