@@ -338,6 +338,8 @@ _HELD_BY_AIR = 0.2
 """Share of a joint's static friction that the air of a chamber which holds nothing up may carry."""
 _RESOLVED = 3.0e3
 """Pressure over the atmosphere that a sensor is sure to show (Pa)."""
+_ZERO_SHARE = 0.75
+"""Share of that pressure that the error of a sensor's zero may take: the rest is noise and leakage."""
 _FOLLOWED = {phase.name.lower(): phase for phase in Phase if phase not in (Phase.STANDING, Phase.IMPACT)}
 _WATCHED = _FOLLOWED | {"impact": Phase.IMPACT}
 MODEL_PHASES = {kind: _WATCHED | ({"standing": Phase.STANDING} if kind == "jump" else {}) for kind in KINDS}
@@ -488,6 +490,14 @@ def holding_pressure(plant: PlantParameters) -> float:
     """
     least = min(a.friction.static / max(a.area_a, a.area_b) for a in plant.actuators)
     return plant.supply.atmosphere + max(_HELD_BY_AIR * least, _RESOLVED)
+
+
+def zero_tolerance(plant: PlantParameters) -> float:
+    """Return the max deviation of a pressure sensor from the atmosphere with its chamber empty (Pa).
+
+    A sensor further above it refuses each access; one further below it shows held air as none.
+    """
+    return _ZERO_SHARE * (holding_pressure(plant) - plant.supply.atmosphere)
 
 
 _CODED = frozenset(

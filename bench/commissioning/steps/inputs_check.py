@@ -18,7 +18,9 @@ from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.machine.step import MachineFault, NamedStep
 from bench.config import Configuration
+from bench.control.settings import zero_tolerance
 from drivers.base import CHAMBERS, Command, Readings
+from sim.plant import PlantParameters
 
 PRESSURES = (2.5e5, 4.0e5)
 """Pressures at which the gauge is read, Pa absolute."""
@@ -68,7 +70,7 @@ def check_inputs(
         seen = _watched(machine, hands, c, done, progress)
         names = fitted(seen[0], local_reset=c.lifecycle.local_reset)
         findings = judged(done, seen, names)
-        findings += _off_at_rest(seen[-1], atmosphere)
+        findings += off_at_rest(seen[-1], c.plant)
         deviation = 0.0
         if not findings and not isnan(seen[-1].supply_pressure):  # no air behind a guard that is not proven
             progress("supply sensor against its gauge")
@@ -117,19 +119,20 @@ def _watched(
     return seen
 
 
-def _off_at_rest(readings: Readings, atmosphere: float) -> list[InputFinding]:
-    """Return the fitted pressure sensors that do not show the atmosphere, vented."""
+def off_at_rest(readings: Readings, plant: PlantParameters) -> list[InputFinding]:
+    """Return the fitted pressure sensors that do not show the atmosphere, vented, as access requires."""
+    atmosphere, tolerance = plant.supply.atmosphere, zero_tolerance(plant)
     sensors = ("supply", *CHAMBERS)
     shown = (readings.supply_pressure, *readings.chamber_pressure)
     return [
         InputFinding(
             f"{name} sensor",
-            f"{1e-5 * pressure:.2f} bar absolute, vented" if isfinite(pressure) else "no believable reading",
-            f"{1e-5 * atmosphere:.2f} bar",
-            "Set its zero and span, or replace it; or correct plant.supply.atmosphere.",
+            f"{1e-5 * pressure:.3f} bar absolute, vented" if isfinite(pressure) else "no believable reading",
+            f"{1e-5 * atmosphere:.3f} bar within {1e-5 * tolerance:.3f}, as access requires",
+            "Set its zero and span, or replace it; if all differ alike, correct plant.supply.atmosphere.",
         )
         for name, pressure in zip(sensors, shown, strict=True)
-        if not isnan(pressure) and not abs(pressure - atmosphere) <= _allowed(atmosphere)
+        if not isnan(pressure) and not abs(pressure - atmosphere) <= tolerance
     ]
 
 

@@ -45,6 +45,7 @@ from bench.commissioning.machine.step import (
     swapped_encoders,
 )
 from bench.commissioning.steps.pneumatic_identification import NAMES, fit_air, way_per_angle
+from bench.control.settings import zero_tolerance
 from drivers.base import CHAMBERS, JOINTS, Triple
 from sim.driver import joint_travel
 from sim.kane import bias_forces
@@ -60,8 +61,6 @@ _FOOT = 1.5e3
 """Rise of a chamber where its valve begins to open (Pa)."""
 _ANSWER = 8e3
 """Change of a chamber that is connected to the valve (Pa)."""
-_SENSOR = 8e3
-"""Max difference of a sensor from the atmosphere (Pa)."""
 _LEFT = 2e4
 """Max pressure of a chamber at the end of a ramp (Pa)."""
 _SUPPLY_SHARE = 0.8
@@ -184,11 +183,11 @@ def _require_sensors(trace: MotionTrace, plant: PlantParameters) -> None:
     """Raise MachineFault unless all chamber sensors show the atmosphere at the end of venting."""
     off = trace.pressure[-1] - plant.supply.atmosphere
     worst = int(np.argmax(np.abs(off)))
-    if abs(off[worst]) > _SENSOR:
+    if abs(off[worst]) > zero_tolerance(plant):
         location = f"{CHAMBERS[worst]} sensor"
-        found = f"{1e-5 * trace.pressure[-1, worst]:.2f} bar with the chamber vented"
+        found = f"{1e-5 * trace.pressure[-1, worst]:.3f} bar with the chamber vented"
         action = "Set the sensor's zero, or replace it; or correct plant.supply.atmosphere."
-        raise MachineFault(location, found, f"{1e-5 * plant.supply.atmosphere:.2f} bar", action)
+        raise MachineFault(location, found, f"{1e-5 * plant.supply.atmosphere:.3f} bar", action)
 
 
 def _require_vents(traces: Traces, plant: PlantParameters) -> None:

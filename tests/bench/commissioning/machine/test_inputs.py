@@ -22,10 +22,11 @@ from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.inputs import INPUTS, InputFinding, fitted, judged, stages
 from bench.commissioning.machine.step import MachineFault
-from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs
+from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs, off_at_rest
 from bench.config import Configuration
+from bench.control.settings import holding_pressure
 from bench.store.database import open_database
-from drivers.base import Readings
+from drivers.base import CHAMBERS, Readings
 from sim.faults import SWITCHES, Fault, Kind
 from tests.bench.commissioning.drawn_robots import drawn_robot
 from tests.sampling import release_except
@@ -33,6 +34,7 @@ from tests.sampling import release_except
 NOW = datetime(2026, 5, 1, 8, 0, tzinfo=UTC)
 ALL = tuple(INPUTS)
 STAGES = stages(local_reset=True)
+SENSORS = tuple(f"{name} sensor" for name in ("supply", *CHAMBERS))
 
 
 @pytest.fixture
@@ -146,8 +148,9 @@ FAULTS = (
     (broken("safety relay", "stuck", 0.0), "vent 1", "'open' all the time"),
     (broken("vent 1", "stuck", 1.0), "vent 1", "'shut' all the time"),
     (broken("shut-off", "stuck", 1.0), "shut-off", "'open' all the time"),
-    (broken("supply sensor", "scale", 0.8), "supply sensor", "0.81 bar absolute, vented"),
-    (broken("wrist cylinder B sensor", "scale", 0.8), "wrist cylinder B sensor", "0.81 bar"),
+    (broken("supply sensor", "scale", 0.8), "supply sensor", "0.810 bar absolute, vented"),
+    (broken("wrist cylinder B sensor", "scale", 0.8), "wrist cylinder B sensor", "0.810 bar"),
+    (broken("right arm A sensor", "offset", 0.05e5), "right arm A sensor", "1.063 bar absolute, vented"),
 )
 EVERYDAY = (FAULTS[0], FAULTS[5], FAULTS[8])
 """Bridged, exchanged, welded."""
@@ -165,6 +168,21 @@ def test_check_inputs_injected_fault_is_found(
     findings = checked(wired, fault)
     assert any(location in one.location and words in one.found for one in findings), findings
     assert all(one.expected and one.action for one in findings)
+
+
+@pytest.mark.parametrize("bar", [0.029, 0.031, -0.031, 0.05, 0.12])
+@pytest.mark.parametrize("signal", ["supply sensor", "wrist cylinder B sensor"])
+def test_off_at_rest_sensor_zero_beyond_access_bound_is_found(
+    configuration: Configuration, signal: str, bar: float
+) -> None:
+    plant, atmosphere = configuration.plant, configuration.plant.supply.atmosphere
+    shown: list[Any] = [atmosphere + 1e5 * bar * (name == signal) for name in SENSORS]
+    a, b, c, d, e, g = shown[1:]
+    one = readings(healthy()[0])._replace(supply_pressure=shown[0], chamber_pressure=(a, b, c, d, e, g))
+    findings = off_at_rest(one, plant)
+    assert [f.location for f in findings] == ([signal] if abs(bar) > 0.03 else [])
+    if not findings:
+        assert max(shown) <= holding_pressure(plant), "access opens"
 
 
 @pytest.mark.slow
