@@ -17,7 +17,7 @@ import pytest
 
 TOP = Path(__file__).resolve().parent.parent
 ROOMS = (
-    "bench.records.telemetry.recorder",
+    "bench.records.telemetry.record_file",
     "bench.records.telemetry.batches",
     "bench.records.telemetry.swing_metadata",
     "bench.viewer.export_files",
@@ -33,7 +33,7 @@ ROOMS = (
     "bench.simulation.simulated_bench",
     "bench.store",
     "bench.swing",
-    "bench.viewer.recording",
+    "bench.viewer.rerun_recording",
     "sim.plant",
     "sim.driver",
     "sim.flight",

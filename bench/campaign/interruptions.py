@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from bench.store.records import CampaignRun, CampaignState, Standing
+from bench.store.rows import CampaignRun, CampaignState, Standing
 
 PACKAGES = ("golfbench", "numpy", "numba", "scipy", "filterpy", "sqlalchemy")
 

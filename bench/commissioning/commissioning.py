@@ -28,11 +28,7 @@ from bench.base.from_toml import read_text
 from bench.base.json_schema import json_value, require_fit
 from bench.base.to_toml import toml_value
 from bench.calibration.calibration import SeenInputs, wiring_digest
-from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
-from bench.commissioning.machine.inputs import OperatorIO
-from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
-from bench.commissioning.machine.machine_process import LiveRobot
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     LEARNED_FILE,
     SWING_FILE,
     CommissioningStep,
@@ -44,6 +40,10 @@ from bench.commissioning.machine.step import (
     SwungRobot,
     Traces,
 )
+from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
+from bench.commissioning.machine.inputs import OperatorIO
+from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
+from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.steps.friction_identification import FRICTION
 from bench.commissioning.steps.inputs_check import INPUT_CHECK, check_inputs, raise_findings
 from bench.commissioning.steps.pneumatic_identification import LEAKAGE

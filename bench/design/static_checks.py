@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from bench.base.errors import BenchError
 from bench.control.moves.pressure_plan import falling_root
 from bench.control.settings import EnvelopeSettings
-from bench.swing.motion import Motion
+from bench.swing.actuator_motion import Motion
 from bench.swing.profile import BALL_TOLERANCE, PHASES, Profile
 from drivers.base import JOINTS
 from drivers.base.compiled import compiled

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import pi
 
-from bench.faults.catalogue import SINGLE, THROTTLED, Breakage, Event, new_fault
+from bench.faults.single_faults import SINGLE, THROTTLED, Breakage, Event, new_fault
 from drivers.base import CHAMBERS, JOINTS
 from sim.faults import Fault
 

@@ -20,7 +20,8 @@ from bench.config import Configuration
 from bench.control.settings import SIMULATED, build_controller, holding_pressure
 from bench.control.step_records import ControlParameters, new_control_state
 from bench.faults.case_run import Watch, WatchedRun, next_swing
-from bench.faults.catalogue import (
+from bench.faults.compound_faults import CATALOGUE
+from bench.faults.single_faults import (
     ACCESS,
     INTO_A_STOP,
     START,
@@ -32,7 +33,6 @@ from bench.faults.catalogue import (
     irrelevant,
     stopped_instants,
 )
-from bench.faults.compound_faults import CATALOGUE
 from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import SafetyLimits

@@ -24,7 +24,7 @@ from bench.base.lifecycle import Phase
 from bench.base.to_toml import toml_value
 from bench.config import Configuration
 from bench.control.measured_plant import value_at
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.records.telemetry.swing_metadata import read_profile
 from bench.simulation.plant_variation import Variation
 from bench.simulation.simulated_bench import Bench, Series, quiet

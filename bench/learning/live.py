@@ -24,7 +24,7 @@ from bench.network.client import BenchClient
 from bench.network.status_words import launch_monitor_text
 from bench.records.shot.recorded_shot import plant_of
 from bench.records.shot.shot_message import launch_from_json
-from bench.records.telemetry.recorder import SwingRecord
+from bench.records.telemetry.record_file import SwingRecord
 from bench.swing.correction import digest_of
 from bench.swing.correction_terms import Source
 from bench.swing.profile import Profile

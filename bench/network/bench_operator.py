@@ -19,7 +19,7 @@ from bench.base.lifecycle import Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.records.shot.shot_message import ShotPublication
-from bench.records.telemetry.recorder import SwingRecord, read_swing
+from bench.records.telemetry.record_file import SwingRecord, read_swing
 from drivers.launch_monitor.record import MatchOutcome
 
 LEASE = 15.0

@@ -33,7 +33,7 @@ from bench.store.database import (
     is_away,
     transaction,
 )
-from bench.store.records import (
+from bench.store.rows import (
     AirReading,
     CampaignEntry,
     CampaignRun,

@@ -46,7 +46,7 @@ from sqlalchemy.types import TypeDecorator
 
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.records.shot.shot import Shot
-from bench.store.records import (
+from bench.store.rows import (
     AirReading,
     BallAerodynamicsRow,
     CalibrationRow,

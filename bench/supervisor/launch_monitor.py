@@ -43,9 +43,9 @@ from bench.supervisor.child_process import (
     send_event,
 )
 from drivers.base import DriverError
-from drivers.launch_monitor.client import SimulatorClient
 from drivers.launch_monitor.record import CLUB_DELAY
 from drivers.launch_monitor.server import LaunchMonitorServer
+from drivers.launch_monitor.simulator_link import SimulatorClient
 
 SEEN_WITHIN = 120.0
 """Time after a struck ball within which the monitor must have sent something, s: two shots of a series."""

@@ -32,7 +32,7 @@ from bench.base.errors import ExitCode
 from bench.base.lifecycle import Cause, State
 from bench.records.shot.recorded_shot import shot_of_cycles, shot_to_json
 from bench.records.shot.strike import DriftMonitor, ball_struck, strike_seen
-from bench.records.telemetry.recorder import (
+from bench.records.telemetry.record_file import (
     RecordQueue,
     SwingRecord,
     folder_fault,

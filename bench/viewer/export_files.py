@@ -45,7 +45,7 @@ from bench.records.telemetry.cycle_record import (
     to_arrow,
     unit_of,
 )
-from bench.records.telemetry.recorder import SwingRecord
+from bench.records.telemetry.record_file import SwingRecord
 
 
 class Change(NamedTuple):

@@ -26,7 +26,7 @@ from bench.config import Configuration, database_url
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
-from bench.store.records import ENDED, MAX_COMMENT_LENGTH, CampaignState, Prompt, ShotNote, places
+from bench.store.rows import ENDED, MAX_COMMENT_LENGTH, CampaignState, Prompt, ShotNote, places
 from bench.web.answers import MAX_RECORDS, REPORT, Asked, Download, Downloads, InvalidBody, UnknownName
 from bench.web.command_line import BackgroundCommand, CommandLine
 from bench.web.last_swing import swing_view

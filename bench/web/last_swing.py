@@ -24,7 +24,7 @@ from bench.base.lifecycle import State
 from bench.records.shot.recorded_shot import FlightConditions, recorded_shot, shot_of_cycles, warm_up_shots
 from bench.records.shot.shot import Shot
 from bench.records.shot.strike import SWINGING, TO_BALL
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.records.telemetry.ring import NoRing, RingReader
 from drivers.base import ACTUATORS, JOINTS
 from sim.plant import PlantParameters

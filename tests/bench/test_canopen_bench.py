@@ -22,7 +22,7 @@ from bench.config import load_configuration
 from bench.network.bench_service import DeviceStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.records.shot.recorded_shot import recorded_shot
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.simulation.simulated_bench import SeriesSwing
 from bench.supervisor.ownership import take_bench
 from bench.swing.library import find_profile

@@ -32,7 +32,7 @@ from bench.records.shot.shot import shot_table_text
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignEntry, CampaignState
+from bench.store.rows import CampaignEntry, CampaignState
 from tests.bench.campaign.as_designed import AsDesigned, arm_all
 from tests.benchmarks.row import Row
 

@@ -31,7 +31,7 @@ from bench.records.shot.shot import Shot
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
-from bench.store.records import CampaignState
+from bench.store.rows import CampaignState
 from tests.bench.campaign.as_designed import AsDesigned, arm_all
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 from tests.benchmarks.row import Row

@@ -24,8 +24,13 @@ from rich.table import Table
 
 from bench.base.errors import Refused
 from bench.commissioning.commissioning import begin, commission
+from bench.commissioning.machine.commissioning_step import (
+    LEARNED_FILE,
+    SWING_FILE,
+    RobotEstimate,
+    SimulatedRobot,
+)
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.step import LEARNED_FILE, SWING_FILE, RobotEstimate, SimulatedRobot
 from bench.commissioning.swings.robot_swings import fastest_swing
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.commissioning.swings.swing_diagnosis import diagnose

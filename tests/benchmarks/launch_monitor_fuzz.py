@@ -231,7 +231,8 @@ def rows_of(result: Result, title: str) -> list[Row]:
 
 def reached() -> list[str]:
     """Return the modules that could move something and that the server's package has imported."""
-    code = "import sys, drivers.launch_monitor.server, drivers.launch_monitor.client; print(*sys.modules)"
+    modules = "drivers.launch_monitor.server, drivers.launch_monitor.simulator_link"
+    code = f"import sys, {modules}; print(*sys.modules)"
     names = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     own = {name for name in names.split() if name.split(".")[0] in ("drivers", "bench", "sim")}
     harmless = {("drivers",), ("drivers", "launch_monitor"), ("drivers", "base")}

@@ -34,7 +34,7 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, State
 from bench.network.client import BenchClient
 from bench.network.lease import MAX_SECONDS
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import HEARTBEAT, RING_FILE
 from drivers.base.shared_memory import SharedRecord

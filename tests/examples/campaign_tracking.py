@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.base.lifecycle import Phase
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from drivers.base import JOINTS
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
+from bench.swing.actuator_motion import head_speed
 from bench.swing.library import find_profile
-from bench.swing.motion import head_speed
 from bench.swing.profile import load_profile
 
 

@@ -11,7 +11,9 @@ import pytest
 
 from bench.base.lifecycle import Phase
 from bench.config import load_configuration, shipped_configuration
-from bench.faults.catalogue import (
+from bench.faults.compound_faults import CATALOGUE
+from bench.faults.matrix import Workbench, instants_for, plan_matrix
+from bench.faults.single_faults import (
     ACCESS,
     FAMILIES,
     INTO_A_STOP,
@@ -21,8 +23,6 @@ from bench.faults.catalogue import (
     dense_instants,
     instants_of,
 )
-from bench.faults.compound_faults import CATALOGUE
-from bench.faults.matrix import Workbench, instants_for, plan_matrix
 from bench.faults.summary import commit, origin_of
 from bench.swing.profile import PHASES, Profile
 from sim.faults import Fault

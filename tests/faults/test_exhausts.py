@@ -8,8 +8,8 @@ import pytest
 
 from bench.base.lifecycle import Request
 from bench.control.settings import holding_pressure
-from bench.faults.catalogue import THROTTLED, Breakage, Instant, instants_of
 from bench.faults.matrix import Workbench
+from bench.faults.single_faults import THROTTLED, Breakage, Instant, instants_of
 from sim.faults import Fault, own_records
 from tests.sampling import release_except
 

@@ -12,7 +12,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Phase, Reaction, State
 from bench.network.client import CommandRefused
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from tests.running_bench import BenchProcess, played_nodes, running_bench, write_configuration
 
 pytestmark = [

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.base.lifecycle import Phase, Reaction
-from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.record_file import write_swing
 from bench.records.telemetry.swing_metadata import since
 from bench.simulation.replay import MEASURED
 from bench.simulation.simulated_bench import SimulatedBench, SwingResult, simulate_swing

@@ -24,7 +24,7 @@ from bench.control.step_records import ControlParameters
 from bench.loop.loop import Cycle, CycleArray
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.telemetry.cycle_record import FIELDS
-from bench.records.telemetry.recorder import read_swing, write_swing
+from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.records.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles

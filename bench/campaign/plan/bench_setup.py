@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import PlannedShot, Role, Step, block_trials, sections, warm_up_arms
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import Hit, Numbered, Prompt, PromptKind, places
+from bench.store.rows import Hit, Numbered, Prompt, PromptKind, places
 
 
 class Preparation(NamedTuple):

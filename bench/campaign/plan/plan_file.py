@@ -27,8 +27,8 @@ from bench.base.from_toml import (
     read_toml,
     without,
 )
+from bench.campaign.plan.conformity_rules import rule_names
 from bench.campaign.plan.plan import STATED, CampaignPlan, Quantity, levels
-from bench.campaign.plan.rules import rule_names
 from bench.campaign.plan.shot_sequence import hits_needed
 from bench.config import Configuration, variants_with
 from sim.ball import Ball

@@ -20,7 +20,7 @@ from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import plan_from_record
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
-from bench.store.records import (
+from bench.store.rows import (
     CampaignEntry,
     CampaignRun,
     CampaignState,

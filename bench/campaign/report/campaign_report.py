@@ -67,7 +67,7 @@ from bench.campaign.statistics.analysis import Level
 from bench.campaign.statistics.control_chart import MIN_VALUES, NELSON
 from bench.records.shot.plot_style import marker_svg, to_svg
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import (
+from bench.store.rows import (
     CampaignEntry,
     CampaignState,
     Hit,

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from bench.campaign.plan.conformity_rules import UNITS_OF_RULES, RuleSet, rule_on
 from bench.campaign.plan.plan import FLOWN, CampaignPlan, SetUp, levels, stated_uncertainties
-from bench.campaign.plan.rules import UNITS_OF_RULES, RuleSet, rule_on
 from bench.campaign.plan.shot_sequence import Role, Section, sections
 from bench.campaign.report.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.statistics.sample_size import share_done

@@ -24,7 +24,7 @@ from bench.campaign.statistics.sample_size import (
     predict_precision,
     series_needed,
 )
-from bench.store.records import Hit, places
+from bench.store.rows import Hit, places
 
 _SHOWN = 3
 """Number of blocks printed of each section without --all."""

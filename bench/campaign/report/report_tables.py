@@ -22,7 +22,7 @@ from bench.campaign.report.conformity import DECISION_RULE
 from bench.campaign.report.report_format import UnitSystem, display_unit
 from bench.golfer.comparison import followed_texts
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import ENDED, CampaignEntry, Event
+from bench.store.rows import ENDED, CampaignEntry, Event
 from sim.ball import Ball
 from sim.robot import Club
 

@@ -28,7 +28,7 @@ from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.store.campaigns import StoredShot
-from bench.store.records import amendment
+from bench.store.rows import amendment
 
 _MAX_DIFFERENCES = 10
 """Max number of reported differences of one kind."""

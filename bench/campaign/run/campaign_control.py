@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bench.base.errors import BenchError, Refused
 from bench.store.campaigns import CampaignStore
-from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
+from bench.store.rows import ENDED, CampaignEntry, CampaignState, Standing
 from bench.supervisor.ownership import try_lock
 
 MIN_PREFIX_LENGTH = 4

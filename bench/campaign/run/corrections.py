@@ -29,7 +29,7 @@ from bench.learning.learn import LearningProblem, Swinger, learn, prepare
 from bench.learning.store import Conditions, Learned, drifted, keep, learned_swings, newest_that_holds, stored
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.simulation.simulated_bench import Bench
-from bench.store.records import CampaignEntry
+from bench.store.rows import CampaignEntry
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters

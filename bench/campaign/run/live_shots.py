@@ -57,8 +57,8 @@ from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycle
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
 from bench.records.shot.strike import ball_struck
-from bench.records.telemetry.recorder import SwingRecord
-from bench.store.records import CampaignEntry, PromptKind
+from bench.records.telemetry.record_file import SwingRecord
+from bench.store.rows import CampaignEntry, PromptKind
 from bench.supervisor.ownership import bench_folder
 from bench.supervisor.readiness import mechanically_equal, with_face_of
 from bench.swing.correction import digest_of

@@ -38,7 +38,7 @@ from bench.campaign.plan.shot_sequence import (
 from bench.campaign.run.shot_source import Watcher
 from bench.network.messages import CAMPAIGN_VERSION, LastShot
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import CampaignEntry, CampaignState
+from bench.store.rows import CampaignEntry, CampaignState
 
 _LAST = 11
 """Number of last shots whose times give the pace."""

@@ -25,10 +25,10 @@ from bench.campaign.run.corrections import DriftDetector
 from bench.campaign.run.shot_source import Operator, ShotPostponed, ShotSource, Suspended, Taken, Watcher
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.record_file import write_swing
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked
-from bench.store.records import CampaignEntry, CampaignRun, CampaignState, Event, Hit, Prompt, PromptKind
+from bench.store.rows import CampaignEntry, CampaignRun, CampaignState, Event, Hit, Prompt, PromptKind
 from drivers.base import ACTUATORS
 
 BATCH = 50

@@ -40,7 +40,7 @@ from bench.config import Configuration
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
 from bench.store.campaigns import CampaignStore
-from bench.store.records import ENDED, CampaignEntry, CampaignRun, CampaignState
+from bench.store.rows import ENDED, CampaignEntry, CampaignRun, CampaignState
 from sim.ball import Air
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")

@@ -19,7 +19,7 @@ from bench.campaign.run.corrections import Drift
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import Shot, ShotStatus, delivery_columns
 from bench.records.shot.shot_matcher import reported_columns
-from bench.store.records import CampaignState, Prompt, PromptKind
+from bench.store.rows import CampaignState, Prompt, PromptKind
 from drivers.launch_monitor.record import LaunchRecord
 from sim.ball import Air, Ball
 from sim.impact import Delivery

@@ -34,8 +34,8 @@ from drivers.launch_monitor.conversation import Conversation, add_doubts
 from drivers.launch_monitor.record import LaunchRecord, Match, MatchOutcome, MatchWindow, SwingImpact, match
 from sim.ball import Ball
 from sim.flight import fly
-from sim.launch_monitor import MonitorParameters, monitor_messages
 from sim.plant import PlantParameters
+from sim.simulated_monitor import MonitorParameters, monitor_messages
 
 
 def hear(

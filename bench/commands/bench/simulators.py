@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from bench.records.telemetry.encoder_preset import CalibratedShifts
     from drivers.base import Launch
     from drivers.canopen.scan import ScannedNode
-    from sim.launch_monitor import MonitorParameters
     from sim.nodes.personality import Personality
     from sim.nodes.wall_plant import NodesPlan
+    from sim.simulated_monitor import MonitorParameters
 
 
 class NoBus(BenchError):
@@ -288,7 +288,7 @@ def launch_monitor(
     over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
     """
     from bench.supervisor.ownership import bench_folder
-    from sim.launch_monitor import MonitorParameters
+    from sim.simulated_monitor import MonitorParameters
 
     c = context.ensure_object(Session).configuration()
     parameters = MonitorParameters(
@@ -307,7 +307,7 @@ def _run_monitor(
     from drivers.base import Launch
     from drivers.base.shared_memory import SharedMemoryError
     from sim.exchange import ContactMonitor, warm_up
-    from sim.launch_monitor import ClubMotion, SimulatedMonitor
+    from sim.simulated_monitor import ClubMotion, SimulatedMonitor
 
     def say(text: str) -> None:
         typer.echo(text, err=True)

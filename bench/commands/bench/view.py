@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from bench.golfer.golfer_file import GolferSwing
     from bench.records.shot.shot import ShotRecord
-    from bench.viewer.recording import Layout
+    from bench.viewer.rerun_recording import Layout
     from sim.plant import PlantParameters
 
 _TURN = 0.2
@@ -72,7 +72,7 @@ def _view_records(
 ) -> None:
     import rerun as rr
 
-    from bench.viewer.recording import layout_for, log_shots, write_recording
+    from bench.viewer.rerun_recording import layout_for, log_shots, write_recording
     from bench.viewer.window import RerunWindow
 
     with progress_bar() as progress:
@@ -100,7 +100,7 @@ def _read(
 ) -> tuple[list[ShotRecord], PlantParameters, str]:
     """Return the shots, the plant of the first, and a name for them."""
     from bench.records.shot.recorded_shot import read_shot
-    from bench.records.telemetry.recorder import record_files
+    from bench.records.telemetry.record_file import record_files
 
     files = [shot] if shot is not None else record_files(campaign)
     task = progress.add_task("reading", total=len(files))
@@ -116,7 +116,7 @@ def _golfer(path: Path, records: Sequence[ShotRecord], plant: PlantParameters) -
     """Return the golfer in `path`, who is aligned at the ball with at least one of `records`."""
     from bench.golfer.comparison import require_club
     from bench.golfer.golfer_file import load_golfer
-    from bench.viewer.recording import impact_time
+    from bench.viewer.rerun_recording import impact_time
 
     golfer = load_golfer(path)
     require_club(golfer)
@@ -136,7 +136,7 @@ def _view_bench(stack: ExitStack, options: Session, save: Path | None, web: bool
     from bench.records.shot.recorded_shot import FlightConditions
     from bench.viewer.blueprint import live_blueprint
     from bench.viewer.feed import Feed
-    from bench.viewer.recording import Layout
+    from bench.viewer.rerun_recording import Layout
     from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, age_words, warm_up
     from bench.viewer.window import RerunWindow
 

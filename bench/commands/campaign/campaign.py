@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from bench.base.address import BenchSettings
     from bench.store.campaigns import CampaignStore, StoredShot
-    from bench.store.records import CampaignEntry
+    from bench.store.rows import CampaignEntry
 
 app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
 
@@ -219,7 +219,7 @@ def mark(
     by: Annotated[str, option("Person who saw it.", "NAME", shown="user@host")] = "",
 ) -> None:
     """Mark a shot, with a comment; it still counts. The report shows marks and comments."""
-    from bench.store.records import MAX_COMMENT_LENGTH, ShotNote
+    from bench.store.rows import MAX_COMMENT_LENGTH, ShotNote
 
     if len(comment) > MAX_COMMENT_LENGTH:
         found, expected = f"a comment of {len(comment)} characters", f"up to {MAX_COMMENT_LENGTH}"
@@ -244,7 +244,7 @@ def exclude(
     A running campaign does not repeat it.
     """
     from bench.campaign.report.campaign_record import ISSUE, exclude_shot
-    from bench.store.records import amendment
+    from bench.store.rows import amendment
 
     with found_campaign(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
@@ -326,7 +326,7 @@ def air(
 
     Shots on hardware use it for one hour.
     """
-    from bench.store.records import AirReading
+    from bench.store.rows import AirReading
     from sim.ball import Air
 
     address = context.ensure_object(Session).address()

@@ -20,7 +20,7 @@ from bench.base.from_toml import checked_values, read_toml
 from bench.campaign.plan.shot_sequence import Role
 from bench.campaign.run.runner import RunOutcome
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import CampaignEntry, CampaignState, state_text
+from bench.store.rows import CampaignEntry, CampaignState, state_text
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from bench.commands.campaign.campaign_baseline import Band, Checked
     from bench.config import Configuration
     from bench.store.campaigns import CampaignStore
-    from bench.store.records import CampaignEntry, ShotNote
+    from bench.store.rows import CampaignEntry, ShotNote
 
 app.command()(new)
 
@@ -109,7 +109,7 @@ def check(
         needs_series,
         needs_words,
     )
-    from bench.store.records import Hit
+    from bench.store.rows import Hit
 
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
@@ -281,7 +281,7 @@ def _run(
     from bench.campaign.report.campaign_report import write_campaign_report
     from bench.campaign.report.findings import findings, findings_record
     from bench.commands.campaign.campaign_baseline import check_baseline, junit_xml
-    from bench.store.records import CampaignState
+    from bench.store.rows import CampaignState
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     outcome = _take(store, entry, configuration, plan, facts, ask=ask, by=by or user_name())
@@ -322,7 +322,7 @@ def _take(
         campaign_bar,
         mark_keys,
     )
-    from bench.store.records import PromptKind
+    from bench.store.rows import PromptKind
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
@@ -352,7 +352,7 @@ def _marker(store: CampaignStore, campaign: str) -> Callable[[ShotNote], None]:
 def _tell(
     campaign: str, outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem
 ) -> None:
-    from bench.store.records import CampaignState, state_text
+    from bench.store.rows import CampaignState, state_text
 
     reached = state_text(outcome.state, outcome.reason)
     typer.echo(f"{reached}; {outcome.shots} shots, {outcome.valid} valid")

@@ -35,7 +35,7 @@ from bench.base.errors import BenchError, Refused
 from bench.campaign.interruptions import duration_text
 from bench.commands.common import at_terminal, user_name
 from bench.records.shot.shot import ShotStatus
-from bench.store.records import (
+from bench.store.rows import (
     ENDED,
     MAX_COMMENT_LENGTH,
     CampaignEntry,

@@ -44,9 +44,9 @@ from bench.records.shot.recorded_shot import read_shot
 from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignEntry, CampaignState
+from bench.store.rows import CampaignEntry, CampaignState
 from bench.supervisor.child_process import Child
-from bench.viewer.recording import write_recording
+from bench.viewer.rerun_recording import write_recording
 
 
 def demo_plan(configuration: Configuration, swings: int, seed: int) -> CampaignPlan:

@@ -30,10 +30,10 @@ from drivers.base.ranges import read_number
 if TYPE_CHECKING:
     from bench.calibration.calibration import Entry, SeenInputs
     from bench.commissioning.commissioning import Commissioning
+    from bench.commissioning.machine.commissioning_step import NamedStep, RobotEstimate, SwungRobot
     from bench.commissioning.machine.driver_machine import SimulatedMachine
     from bench.commissioning.machine.inputs import OperatorIO
     from bench.commissioning.machine.machine_process import LiveRobot
-    from bench.commissioning.machine.step import NamedStep, RobotEstimate, SwungRobot
     from bench.config import Configuration
     from bench.control.settings import EnvelopeSettings
     from sim.exchange import ContactMonitor
@@ -212,7 +212,7 @@ def _write_robot(
     """Write robot.toml, with the limits of `following` errors and the learned swing once they are known."""
     from bench.base.atomic_file import atomic_file
     from bench.commissioning.commissioning import require_unedited, robot_file
-    from bench.commissioning.machine.step import LEARNED_FILE
+    from bench.commissioning.machine.commissioning_step import LEARNED_FILE
 
     require_unedited(file)
     measured = max((step.date for step in state.done if step.values), default=None)
@@ -282,8 +282,8 @@ def _simulated(
     configuration: Configuration, truth: Configuration, *, inputs_only: bool = False
 ) -> Iterator[_Machine]:
     """Yield the robot of `truth`, simulated in lock-step."""
+    from bench.commissioning.machine.commissioning_step import SimulatedRobot
     from bench.commissioning.machine.driver_machine import SimulatedMachine
-    from bench.commissioning.machine.step import SimulatedRobot
 
     faults = tuple(truth.faults.values())
     with SimulatedMachine(truth.plant, configuration.plant, faults, inputs_only=inputs_only) as machine:
@@ -355,7 +355,7 @@ def _hands_of_person(
 
 def _mark_in(contacts: ContactMonitor, truth: PlantParameters) -> tuple[float, float] | None:
     """Return the mark of the newest of the simulated `contacts` on the club of `truth`."""
-    from bench.commissioning.machine.step import read_mark
+    from bench.commissioning.machine.commissioning_step import read_mark
 
     contacts.attach()
     contact, site = contacts.look(), truth.site

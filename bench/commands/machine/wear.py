@@ -56,7 +56,7 @@ def wear(records: Records, plot: Plot = None, json_: Json = False) -> None:
     """
     import numpy as np
 
-    from bench.records.telemetry.recorder import read_swing, record_files
+    from bench.records.telemetry.record_file import read_swing, record_files
     from bench.simulation.replay import AHEAD, margins, residual_shares
 
     require_picture(plot)

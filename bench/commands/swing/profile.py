@@ -100,7 +100,7 @@ def simulate(
     Exits with 1 if the shot is invalid.
     """
     from bench.records.shot.recorded_shot import FlightConditions
-    from bench.records.telemetry.recorder import write_swing
+    from bench.records.telemetry.record_file import write_swing
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
     from bench.supervisor.readiness import assess_bench
 
@@ -371,7 +371,7 @@ def _deviation(followed: FollowedGolfer) -> Group:
 def _phases(profile: Profile) -> Table:
     import numpy as np
 
-    from bench.swing.motion import phase_times
+    from bench.swing.actuator_motion import phase_times
 
     table = _table("phase", "begins, s", "lasts, s", "greatest speed, rad/s", title="Phases")
     for phase, begin, end in phase_times(profile):
@@ -386,7 +386,7 @@ def _speed_line(profile: Profile, plant: PlantParameters) -> Text:
     """Return the head's speed over time as a row of bars, the column of the contact marked."""
     import numpy as np
 
-    from bench.swing.motion import Motion
+    from bench.swing.actuator_motion import Motion
 
     speed = Motion(profile, plant).head_speed
     columns = np.array_split(speed, min(_WIDTH, len(speed)))

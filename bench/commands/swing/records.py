@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from bench.config import Configuration
     from bench.records.shot.overlay import FigureDifference, SwingCourse
-    from bench.records.telemetry.recorder import SwingRecord
+    from bench.records.telemetry.record_file import SwingRecord
     from bench.simulation.replay import Difference, Replay
 
 
@@ -66,7 +66,7 @@ def export(
     csv stores its units in NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (with a layout file;
     extra `mcap`), mat for MATLAB.
     """
-    from bench.records.telemetry.recorder import SwingRecord, read_swing, record_files
+    from bench.records.telemetry.record_file import SwingRecord, read_swing, record_files
 
     targets = planned_exports(record_files(records), format_, output, force)
     write = _writer(format_)
@@ -109,7 +109,7 @@ def planned_exports(
 def _writer(format_: Format) -> Callable[[Path, SwingRecord], list[Path]]:
     """Return what writes `format_`; only its own library is imported."""
     if format_ is Format.RRD:
-        from bench.viewer.recording import write_rrd
+        from bench.viewer.rerun_recording import write_rrd
 
         return write_rrd
     from bench.viewer import export_files as to
@@ -253,7 +253,7 @@ def replay(
 
     Exits with 1 if a field differs.
     """
-    from bench.records.telemetry.recorder import read_swing
+    from bench.records.telemetry.record_file import read_swing
     from bench.simulation.replay import replay_cycles
 
     cycles, metadata = read_swing(record)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bench.base.clock import Clock, FreeClock
 from bench.base.errors import Refused
+from bench.commissioning.machine.commissioning_step import MachineFault
 from bench.commissioning.machine.inputs import SIMULATED_TIMEOUT, Act, OperatorIO, levels
 from bench.commissioning.machine.machine import (
     ADRIFT,
@@ -29,7 +30,6 @@ from bench.commissioning.machine.machine import (
     Until,
     bound_passed,
 )
-from bench.commissioning.machine.step import MachineFault
 from bench.loop.loop import record_reading
 from bench.simulation.safety import Loads, loads_of
 from bench.simulation.swing_operator import never

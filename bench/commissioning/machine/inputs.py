@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.base.errors import BenchError, ExitCode
-from bench.commissioning.machine.step import Mark
+from bench.commissioning.machine.commissioning_step import Mark
 from drivers.base import PASSIVE, Command, Readings
 from sim.exchange import SurroundingsWriter
 

@@ -18,8 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
-from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     FOLD_ORDER,
     PRESSING,
     SIDES,
@@ -36,6 +35,7 @@ from bench.commissioning.machine.step import (
     openings,
     run_slowly,
 )
+from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from bench.commissioning.steps.pneumatic_identification import (
     VENT_TOLERANCE,
     joint_angles,

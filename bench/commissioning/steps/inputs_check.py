@@ -12,11 +12,11 @@ from math import inf, isfinite, isnan
 
 from bench.base.errors import Refused
 from bench.calibration.calibration import SeenInputs, wiring_digest
+from bench.commissioning.machine.commissioning_step import MachineFault, NamedStep
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.inputs import ACTS, InputFinding, OperatorIO, Stage, fitted, judged, stages
 from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
-from bench.commissioning.machine.step import MachineFault, NamedStep
 from bench.config import Configuration
 from bench.control.settings import zero_tolerance
 from drivers.base import CHAMBERS, Command, Readings

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     MOVING,
     CommissioningStep,
     MachineFault,
@@ -37,6 +36,7 @@ from bench.commissioning.machine.step import (
     openings,
     run_slowly,
 )
+from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from drivers.base import JOINTS
 from drivers.base.compiled import compiled
 from sim.driver import joint_travel

@@ -16,15 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from bench.commissioning.machine.machine import (
-    Array,
-    CommissionedMachine,
-    MotionTrace,
-    Segment,
-    Until,
-    at_rows,
-)
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
@@ -40,6 +32,14 @@ from bench.commissioning.machine.step import (
     move_to_stop,
     openings,
     run_slowly,
+)
+from bench.commissioning.machine.machine import (
+    Array,
+    CommissionedMachine,
+    MotionTrace,
+    Segment,
+    Until,
+    at_rows,
 )
 from bench.commissioning.steps.pneumatic_identification import (
     AirTrace,

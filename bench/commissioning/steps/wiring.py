@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.calibration.calibration import MAX_BAND, MAX_CENTRE, zero_counts
-from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     FOLD_ORDER,
     MOVING,
     SIDES,
@@ -44,6 +43,7 @@ from bench.commissioning.machine.step import (
     run_slowly,
     swapped_encoders,
 )
+from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
 from bench.commissioning.steps.pneumatic_identification import NAMES, fit_air, way_per_angle
 from bench.control.settings import zero_tolerance
 from drivers.base import CHAMBERS, JOINTS, Triple

@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.lifecycle import Phase
+from bench.commissioning.machine.commissioning_step import LEARNED_FILE, StepResult, SwingingStep, SwungRobot
 from bench.commissioning.machine.machine import at_rows
-from bench.commissioning.machine.step import LEARNED_FILE, StepResult, SwingingStep, SwungRobot
 from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
 from bench.control.residual_thresholds import limits_path, save_limits

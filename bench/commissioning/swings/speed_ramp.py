@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Cause
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     LEARNED_FILE,
     SWING_FILE,
     MachineFault,

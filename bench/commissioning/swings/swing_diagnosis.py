@@ -16,9 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bench.base.errors import Refused
-from bench.commissioning.machine.driver_machine import Stalled
-from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     MachineFault,
     Mark,
     ParameterEstimate,
@@ -26,6 +24,8 @@ from bench.commissioning.machine.step import (
     SwingSeries,
     SwungRobot,
 )
+from bench.commissioning.machine.driver_machine import Stalled
+from bench.commissioning.machine.machine import Array
 from bench.commissioning.swings.short_predictions import (
     PRESSURE,
     QUANTITIES,

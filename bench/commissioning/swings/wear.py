@@ -23,7 +23,7 @@ from bench.commissioning.machine.machine import Array
 from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
 from bench.control.measured_plant import value_at, with_values
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.simulation.replay import FEW, growth_of, settings_of
 from drivers.base import CHAMBERS, JOINTS
 from sim.plant import ACTUATOR_KEYS, PlantParameters

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bench.records.shot.recorded_shot import RecordedShot
 from bench.records.shot.strike import SWINGING, time_at_ball
-from bench.swing.motion import head_speed
+from bench.swing.actuator_motion import head_speed
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.plant import PlantParameters

@@ -30,7 +30,7 @@ from bench.records.shot.shot import (
     launch_columns,
 )
 from bench.records.shot.strike import ball_struck, time_at_ball
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Air, Ball
 from sim.flight import Flight, Wind, fly

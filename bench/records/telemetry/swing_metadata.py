@@ -1,6 +1,6 @@
 """JSON metadata of a record of the daemon: its keys.
 
-In addition to `schema_version` and `enumerations` (`bench.records.telemetry.recorder`):
+In addition to `schema_version` and `enumerations` (`bench.records.telemetry.record_file`):
 
 `kind`           "swing"; "stop", a stop or fault without a swing
 `bench`          id of the bench

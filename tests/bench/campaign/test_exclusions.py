@@ -26,7 +26,7 @@ from bench.config import database_url
 from bench.records.shot.shot import ShotStatus
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
-from bench.store.records import CampaignState, Event, ShotExclusion
+from bench.store.rows import CampaignState, Event, ShotExclusion
 from tests.bench.campaign.report.test_campaign_report import NOW, _record
 from tests.benchmarks.campaign_statistics import Truth
 

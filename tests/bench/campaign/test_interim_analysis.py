@@ -20,7 +20,7 @@ from bench.campaign.statistics.sample_size import look_level, look_now, share_do
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
-from bench.store.records import CampaignState
+from bench.store.rows import CampaignState
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 NOW = datetime(2026, 11, 22, tzinfo=UTC)

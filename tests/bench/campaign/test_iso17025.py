@@ -19,7 +19,7 @@ from bench.campaign.run.runner_control import new_entry
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
-from bench.store.records import CampaignRun, CampaignState, Event
+from bench.store.rows import CampaignRun, CampaignState, Event
 from tests.bench.campaign.report.test_campaign_report import NOW, _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 

@@ -14,7 +14,7 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.campaign.run.progress import Notifier, Service, notifying, read_services
-from bench.store.records import CampaignEntry, CampaignState
+from bench.store.rows import CampaignEntry, CampaignState
 from tests.bench.store.test_campaigns import ENTRY
 
 HIDDEN = "k9-of-the-chat"

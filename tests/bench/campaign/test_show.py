@@ -27,10 +27,10 @@ from bench.campaign.run.campaign_control import ask
 from bench.config import database_url, load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.shot.shot_matcher import UNREPORTED
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignEntry, CampaignState
+from bench.store.rows import CampaignEntry, CampaignState
 from sim.exchange import SurroundingsWriter
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 

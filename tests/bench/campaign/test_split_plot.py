@@ -31,7 +31,7 @@ from bench.campaign.statistics.analysis import SectionAnalysis, analyse
 from bench.campaign.statistics.block_model import as_split_plot, fully_randomised
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import CampaignState, PromptKind, Standing
+from bench.store.rows import CampaignState, PromptKind, Standing
 from tests.bench.campaign.known_truth import Known, cases, drawn
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.campaign.run.campaign_control import standing_now
-from bench.store.records import CampaignState, Standing, state_text
+from bench.store.rows import CampaignState, Standing, state_text
 from bench.supervisor.ownership import try_lock
 
 NAME = "2026-11-26-two-balls-1"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.commissioning.commissioning import robot_file
-from bench.commissioning.machine.step import ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.commissioning_step import ParameterEstimate, RobotEstimate
 from bench.config import Configuration
 from bench.control.measured_plant import value_at
 from sim.plant import PlantParameters

@@ -32,15 +32,15 @@ from bench.commissioning.commissioning import (
     read_state,
     robot_file,
 )
-from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
-from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, Segment
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     MachineFault,
     ParameterEstimate,
     RobotEstimate,
     StepResult,
     Traces,
 )
+from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
+from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, Segment
 from bench.commissioning.steps.wiring import WIRING
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration, load_configuration, shipped_configuration

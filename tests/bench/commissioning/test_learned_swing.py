@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.commissioning.machine.step import (
+from bench.commissioning.machine.commissioning_step import (
     LEARNED_FILE,
     SWING_FILE,
     SimulatedRobot,

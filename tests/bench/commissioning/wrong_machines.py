@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.commissioning.machine.step import ParameterEstimate
+from bench.commissioning.machine.commissioning_step import ParameterEstimate
 from bench.commissioning.swings.swing_diagnosis import Diagnosis
 from bench.control.measured_plant import value_at, with_values
 from sim.faults import Fault

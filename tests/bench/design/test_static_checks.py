@@ -23,7 +23,7 @@ from bench.design.static_checks import (
     steady_speed,
     stop_forces,
 )
-from bench.swing.motion import Motion, phase_times
+from bench.swing.actuator_motion import Motion, phase_times
 from bench.swing.profile import Profile
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND

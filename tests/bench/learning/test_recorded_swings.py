@@ -12,7 +12,7 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.learning.identify import from_first_tick, read_recorded
 from bench.records.telemetry.cycle_record import CYCLE
-from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.record_file import write_swing
 from bench.records.telemetry.swing_metadata import profile_entry
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

@@ -19,7 +19,7 @@ from bench.config import load_configuration
 from bench.learning.delivery import strike_from_mark
 from bench.network.client import BenchClient
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from tests.running_bench import BenchProcess, running_bench, simulated_monitor, write_configuration
 
 pytestmark = [

@@ -32,7 +32,7 @@ from bench.records.shot.shot_matcher import SettledOutcome
 from bench.records.shot.shot_message import ShotPublication, read_shot_message, shot_publication
 from bench.records.telemetry.batches import encode_batch, wire_schema
 from bench.records.telemetry.cycle_record import CYCLE, arrow_schema
-from bench.store.records import CampaignState
+from bench.store.rows import CampaignState
 from bench.supervisor.launch_monitor import message_of
 from bench.supervisor.tick_timing import new_timing
 from bench.supervisor.timing_record import summary

@@ -11,7 +11,7 @@ import pytest
 from bench.commands.cli import main
 from bench.config import Configuration
 from bench.control.estimate.residual_monitor import KINDS
-from bench.records.telemetry.recorder import read_swing, write_swing
+from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.simulation.replay import NEAR, margins, residual_shares
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.library import find_profile

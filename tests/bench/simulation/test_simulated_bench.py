@@ -20,7 +20,7 @@ from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
 from bench.commands.cli import main
 from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import ShotStatus
-from bench.records.telemetry.recorder import read_swing, write_swing
+from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.simulated_bench import (
     SimulatedBench,

@@ -25,7 +25,7 @@ from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store import database
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import SHOTS, DatabaseLocked, open_database
-from bench.store.records import (
+from bench.store.rows import (
     AirReading,
     CampaignEntry,
     CampaignRun,
@@ -143,7 +143,7 @@ from dataclasses import replace
 from pathlib import Path
 from sqlalchemy import make_url
 from bench.store.campaigns import CampaignStore, StoredShot
-from bench.store.records import Hit
+from bench.store.rows import Hit
 from bench.store.database import open_database
 from tests.bench.store.test_campaigns import ENTRY, SHOT
 

@@ -21,7 +21,7 @@ from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import BallPosition
 from bench.config import database_url, load_configuration
 from bench.network.client import CommandRefused
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.simulation.replay import replay_cycles
 from bench.store.database import open_database
 from bench.swing.correction import basis_of, digest_of

@@ -22,7 +22,7 @@ import pytest
 from bench.base.lifecycle import Cause, State
 from bench.loop.snapshot import read_snapshot
 from bench.records.telemetry.cycle_record import CYCLE
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.records.telemetry.swing_metadata import read_profile, since
 from bench.supervisor.child_process import HEARTBEAT, Condition
 from bench.supervisor.recorder import Recorder

@@ -21,7 +21,7 @@ from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
-from bench.records.telemetry.recorder import SwingRecord, read_swing, write_swing
+from bench.records.telemetry.record_file import SwingRecord, read_swing, write_swing
 from bench.viewer.export_files import (
     changes,
     cycle_schema,
@@ -29,7 +29,7 @@ from bench.viewer.export_files import (
     write_mat,
     write_mcap,
 )
-from bench.viewer.recording import write_rrd
+from bench.viewer.rerun_recording import write_rrd
 
 Cycles = np.ndarray[Any, Any]
 BEGIN = "2026-11-01T09:30:00+00:00"

@@ -21,7 +21,7 @@ from bench.network.zenoh_session import open_client
 from bench.records.shot.recorded_shot import FlightConditions, flight_of, shot_of_cycles, shot_to_json
 from bench.records.shot.shot import ShotRecord
 from bench.records.telemetry.cycle_record import CYCLE
-from bench.records.telemetry.recorder import read_swing, write_swing
+from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.viewer.feed import Feed
 from bench.viewer.viewer import LiveView, ViewClock, event_text, loop_rows
 from sim.ball import Ball

@@ -18,11 +18,11 @@ from bench.base.lifecycle import State
 from bench.campaign.run.campaign_control import runner_lock
 from bench.config import Configuration, database_url
 from bench.records.shot.recorded_shot import plant_of
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.records.telemetry.ring import RingWriter
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
-from bench.store.records import CampaignState, Prompt
+from bench.store.rows import CampaignState, Prompt
 from bench.web.campaign_service import CampaignArchive, RunningCampaigns
 from bench.web.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from tests.bench.campaign.report.test_campaign_report import NOW, _record

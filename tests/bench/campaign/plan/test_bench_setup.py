@@ -43,7 +43,7 @@ from bench.records.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignState, Hit, Prompt, PromptKind, places
+from bench.store.rows import CampaignState, Hit, Prompt, PromptKind, places
 from tests.bench.campaign.run.test_runner import NOW, Scripted
 
 CONFIGURATION = load_configuration(Path("shipped"))

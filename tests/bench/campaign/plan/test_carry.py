@@ -29,7 +29,7 @@ from bench.campaign.statistics.block_model import Contrast
 from bench.campaign.statistics.unequal_variances import common_errors
 from bench.config import Configuration
 from bench.records.shot.recorded_shot import FlightConditions
-from bench.store.records import CampaignState, Hit, Standing
+from bench.store.rows import CampaignState, Hit, Standing
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Ball
 from sim.flight import fly

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from bench.base.errors import BenchError
 from bench.campaign.plan.bench_setup import Fitting, missing
+from bench.campaign.plan.conformity_rules import control_ball_speed, rule_sets
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan, reference_level
 from bench.campaign.plan.plan_file import EXAMPLES, campaign_names, find_plan, load_plan, plan_from_record
-from bench.campaign.plan.rules import control_ball_speed, rule_sets
 from bench.campaign.plan.shot_sequence import (
     Arm,
     PlannedShot,

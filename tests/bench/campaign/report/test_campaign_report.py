@@ -27,7 +27,7 @@ from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign_baseline import Band, check_baseline, junit_xml, read_baseline
 from bench.config import load_configuration
 from bench.records.shot.shot import ShotStatus
-from bench.store.records import CampaignState, Event, Hit, Prompt, Standing
+from bench.store.rows import CampaignState, Event, Hit, Prompt, Standing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from tests.bench.swing.test_profile import FOLLOWED

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.campaign.plan.conformity_rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
-from bench.campaign.plan.rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.campaign.report.conformity import Decision, RuleFinding, decide_by_limit, judge_rules
 from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem

@@ -16,7 +16,7 @@ from bench.campaign.report.findings import findings
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.report.verification import missing_records, verify_page
 from bench.store.campaigns import StoredShot
-from bench.store.records import Event, Hit, ShotNote
+from bench.store.rows import Event, Hit, ShotNote
 from tests.bench.campaign.report.test_campaign_report import NOW, _record
 from tests.benchmarks.campaign_statistics import Truth
 from tests.sampling import release_except

@@ -46,12 +46,12 @@ from bench.network.command import Verb
 from bench.network.lease import CAMPAIGN_HOLDER
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import ShotPublication, launch_to_json, shot_publication
-from bench.records.telemetry.recorder import SwingRecord, read_swing
+from bench.records.telemetry.record_file import SwingRecord, read_swing
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignState, PromptKind
+from bench.store.rows import CampaignState, PromptKind
 from bench.supervisor.status import NO_LAUNCH_MONITOR
 from drivers.base import Launch
 from drivers.launch_monitor.record import LaunchRecord, MatchOutcome

@@ -18,7 +18,7 @@ from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign_terminal import ProgressScreen, campaign_bar, progress_lines, shot_line
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.records import CampaignState
+from bench.store.rows import CampaignState
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 CONFIGURATION = load_configuration(Path("shipped"))

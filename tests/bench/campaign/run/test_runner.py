@@ -42,11 +42,11 @@ from bench.campaign.run.runner_control import (
 from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Taken, Watcher
 from bench.config import Configuration, database_url, load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.telemetry.recorder import read_swing, write_swing
+from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
-from bench.store.records import CampaignEntry, CampaignRun, CampaignState, Hit
+from bench.store.rows import CampaignEntry, CampaignRun, CampaignState, Hit
 from drivers.base import ACTUATORS
 from drivers.base.compiled import new_record
 from tests.bench.running_postgres import running_postgres

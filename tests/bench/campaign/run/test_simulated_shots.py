@@ -23,7 +23,7 @@ from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.swing_operator import never
 from drivers.base import Launch
 from drivers.launch_monitor.record import MatchWindow
-from sim.launch_monitor import MonitorParameters
+from sim.simulated_monitor import MonitorParameters
 from tests.bench.campaign.as_designed import AsDesigned
 
 

@@ -18,7 +18,7 @@ import zenoh
 from bench.base.address import free_port
 from bench.network.client import CommandRefused
 from bench.records.shot.shot_message import ShotPublication, read_shot_message
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from drivers.base import Launch
 from drivers.launch_monitor.open_connect import write_heartbeat, write_shot
 from drivers.launch_monitor.record import MatchOutcome

@@ -19,7 +19,7 @@ import pytest
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import State
 from bench.commands.cli import main
-from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.record_file import write_swing
 from tests.bench.golfer.synthetic import golfer_swing
 from tests.bench.records.telemetry.fake_bench import BENCH, fake_bench, loopback
 from tests.bench.records.telemetry.read_recording import Recording

@@ -37,7 +37,7 @@ from bench.config import database_url, load_configuration
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignState
+from bench.store.rows import CampaignState
 from tests.bench.records.shot.read_shots import read_shot_table
 from tests.sampling import release_except
 

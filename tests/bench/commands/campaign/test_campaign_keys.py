@@ -28,7 +28,7 @@ from bench.commands.campaign.campaign_terminal import HINT, CampaignBar, MarkLin
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import MAX_COMMENT_LENGTH, CampaignState, ShotNote
+from bench.store.rows import MAX_COMMENT_LENGTH, CampaignState, ShotNote
 
 NOW = datetime(2026, 11, 23, 12, 0, tzinfo=UTC)
 

@@ -16,7 +16,7 @@ from bench.base.errors import ExitCode
 from bench.commands.campaign.demo import demo_configuration, demo_plan
 from bench.config import load_configuration
 from bench.records.shot.shot import ShotStatus
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from tests.bench.records.shot.read_shots import read_shot_table
 
 pytestmark = [

@@ -22,7 +22,7 @@ from bench.commands.cli import main
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
-from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.record_file import read_swing
 from bench.swing.library import find_profile
 from tests.bench.records.shot.read_shots import read_shot_table
 

@@ -19,9 +19,9 @@ from bench.calibration.archive import add_calibration, effective_calibration
 from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_digest
 from bench.commands.cli import main
 from bench.commissioning.commissioning import begin, read_state, see_inputs
+from bench.commissioning.machine.commissioning_step import MachineFault
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.inputs import INPUTS, InputFinding, fitted, judged, stages
-from bench.commissioning.machine.step import MachineFault
 from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs, off_at_rest
 from bench.config import Configuration
 from bench.control.settings import holding_pressure

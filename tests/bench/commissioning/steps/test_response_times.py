@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.commissioning.machine.commissioning_step import MOVING, PRESSING, RobotEstimate, fold, slow_bounds
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.machine import MotionTrace
-from bench.commissioning.machine.step import MOVING, PRESSING, RobotEstimate, fold, slow_bounds
 from bench.commissioning.steps.response_times import _pulses, fit_spool
 from sim.plant import PlantParameters
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause
-from bench.commissioning.machine.step import MachineFault, SimulatedRobot, SimulatedSeries
+from bench.commissioning.machine.commissioning_step import MachineFault, SimulatedRobot, SimulatedSeries
 from bench.commissioning.swings import speed_ramp
 from bench.commissioning.swings.robot_swings import FastestSwing, slowed
 from bench.commissioning.swings.speed_ramp import (

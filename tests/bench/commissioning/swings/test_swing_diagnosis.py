@@ -10,7 +10,12 @@ import pytest
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import Phase
-from bench.commissioning.machine.step import MachineFault, PredictionFails, SimulatedRobot, SimulatedSeries
+from bench.commissioning.machine.commissioning_step import (
+    MachineFault,
+    PredictionFails,
+    SimulatedRobot,
+    SimulatedSeries,
+)
 from bench.commissioning.swings.short_predictions import RecordedSwing
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot, Diagnosis, diagnose

@@ -17,8 +17,8 @@ from drivers.base import Launch
 from drivers.launch_monitor.record import MatchOutcome, MatchWindow
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings
-from sim.launch_monitor import ClubMotion, MonitorParameters, SimulatedMonitor
 from sim.plant import PlantParameters, Site
+from sim.simulated_monitor import ClubMotion, MonitorParameters, SimulatedMonitor
 from tests.bench.conftest import BALL
 from tests.drivers.launch_monitor.proxy import DIALECTS, Proxy
 

@@ -21,7 +21,7 @@ from bench.records.shot.recorded_shot import (
     shot_to_json,
 )
 from bench.records.shot.shot import ShotRecord, ShotStatus
-from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.record_file import write_swing
 from bench.viewer.scene import effort_limits, efforts, limits_of, signals_of
 from sim.ball import Air
 from sim.flight import Wind

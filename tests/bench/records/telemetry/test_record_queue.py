@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.records.telemetry.cycle_record import CYCLE
-from bench.records.telemetry.recorder import (
+from bench.records.telemetry.record_file import (
     RecordQueue,
     SwingRecord,
     folder_fault,

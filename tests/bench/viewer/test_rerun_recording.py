@@ -17,7 +17,7 @@ from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.drawing.drawing import ball_at_rest, body_poses, draw, plane_to_golf
-from bench.viewer.recording import layout_for, swing_span, write_recording
+from bench.viewer.rerun_recording import layout_for, swing_span, write_recording
 from sim.ball import Ball
 from sim.kinematics import joint_positions
 from sim.plant import PlantParameters, Site

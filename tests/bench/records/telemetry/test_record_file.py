@@ -16,7 +16,7 @@ import pytest
 from bench.base.atomic_file import NotStored, atomic_file
 from bench.base.errors import BenchError
 from bench.records.telemetry.cycle_record import CYCLE, SCHEMA_VERSION
-from bench.records.telemetry.recorder import METADATA_KEY, read_swing, record_files, write_swing
+from bench.records.telemetry.record_file import METADATA_KEY, read_swing, record_files, write_swing
 
 Cycles = np.ndarray[Any, Any]
 METADATA = {"seed": 7, "profile": "thesis", "configuration": {"rate_hz": 1000}, "shot": 3}

@@ -30,7 +30,7 @@ from bench.records.shot.recorded_shot import recorded_shot
 from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.records.telemetry.cycle_record import FIELDS
-from bench.records.telemetry.recorder import SwingRecord
+from bench.records.telemetry.record_file import SwingRecord
 from bench.viewer.blueprint import Span, campaign_blueprint, shot_blueprint
 from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
 from bench.viewer.scene import (

@@ -18,7 +18,7 @@ from drivers.launch_monitor.open_connect import read_message
 from drivers.launch_monitor.record import LaunchRecord, MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings
-from sim.launch_monitor import (
+from sim.simulated_monitor import (
     MPH,
     RECONNECT,
     ClubMotion,

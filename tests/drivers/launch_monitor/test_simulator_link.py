@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.base import DriverError
-from drivers.launch_monitor.client import MAX_WAITING, SimulatorClient
 from drivers.launch_monitor.open_connect import write_answer, write_player
 from drivers.launch_monitor.record import ClubFigures
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings, SimulatorSettings
+from drivers.launch_monitor.simulator_link import MAX_WAITING, SimulatorClient
 from tests.drivers.launch_monitor.stream import LAUNCH, wait_for
 
 
