@@ -25,15 +25,17 @@ def answer(
     `balls` is the number of loaded balls, to be checked; None: as listed.
 
     Raises:
-        Refused: no prompt is open, or it requires another number of balls.
+        Refused: no prompt is open, it requires another number of balls, or its runner has not granted access.
     """
-    prompts = store.prompts(store.entry(campaign).id)
+    prompts, running = store.prompts(store.entry(campaign).id), is_running(data_dir, campaign)
+    standing = store.standing(campaign)
+    waits = standing.state is CampaignState.WAITING and prompts and standing.reason == prompts[-1].text
     if balls is not None and prompts and prompts[-1].answered is None:
         prompts[-1].require_count(balls)
-    if not prompts or not store.answer(campaign, prompts[-1].number, by, now):
+    if (running and not waits) or not prompts or not store.answer(campaign, prompts[-1].number, by, now):
         location, expected = f"campaign {campaign}", "a prompt that waits for an answer"
         raise Refused(location, "no open prompt", expected, "See golfbench campaign list.")
-    return prompts[-1].text, is_running(data_dir, campaign)
+    return prompts[-1].text, running
 
 
 def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: str = "") -> str:

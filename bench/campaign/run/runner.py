@@ -361,8 +361,7 @@ class Runner:
         waiting = self._store.standing(self._entry.id).state is CampaignState.WAITING
         if waiting and self._open is None and (prompts := self._store.prompts(self._entry.id)):
             self._source.resume_after_access(PromptKind(prompts[-1].kind), self._ask_also)
-        if self._open is None:
-            self._stand(CampaignState.RUNNING, "")
+        self._stand(CampaignState.RUNNING, "")  # an open prompt waits for access first
 
     def _fit(self, step: Step, number: int, sample: int) -> None:
         while wish := missing(
@@ -377,6 +376,7 @@ class Runner:
                 self._watcher.say(f"{wish.text} Done automatically by the simulation.")
             else:
                 self._commit()
+                self._source.grant_access(wish.kind, self._ask_also)
                 prompt = self._opened(wish, number)
                 self._wait_for_answer(prompt, wish.kind)
             self._fitting = self._fitting.with_done(prompt)
@@ -408,7 +408,6 @@ class Runner:
 
     def _wait_for_answer(self, prompt: Prompt, kind: PromptKind) -> None:
         campaign, operator = self._entry.id, self._operator
-        self._source.grant_access(kind, self._ask_also)
         self._stand(CampaignState.WAITING, prompt.text)
         if operator:
             operator.show(prompt)

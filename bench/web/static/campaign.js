@@ -41,8 +41,9 @@ function redraw() {
 
 function one({ progress: p, detail }) {
   const part = make("div", {});
-  part.append(make("p", {}, make("strong", {}, p.campaign), ` ${p.state}${p.reason && !detail?.prompt ? `: ${p.reason}` : ""}`),
-    detail?.prompt ? prompt(p.campaign, detail.prompt) : "",
+  const prompted = detail?.prompt && p.reason === detail.prompt.text;  // otherwise the runner waits for access
+  part.append(make("p", {}, make("strong", {}, p.campaign), ` ${p.state}${p.reason && !prompted ? `: ${p.reason}` : ""}`),
+    prompted ? prompt(p.campaign, detail.prompt) : "",
     make("progress", { max: p.planned, value: p.done, "aria-label": "Shots done" }));
   part.append(make("dl", { class: "big" }, ...[
     ["Shots", `${p.done} of ${p.planned}`],

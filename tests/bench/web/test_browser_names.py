@@ -249,6 +249,25 @@ def answer_all(tab: Tab) -> None:
     )
 
 
+def test_page_prompt_waits_for_access(browser: Any, page: RunningPage) -> None:
+    reason = "Read the gauges."
+
+    def stream(route: Any) -> None:
+        progress = PROGRESS | {"state": "waiting", "reason": reason}
+        body = messages() + event_text("campaigns", [CAMPAIGNS[0] | {"progress": progress}])
+        route.fulfill(status=200, content_type="text/event-stream; charset=utf-8", body=body)
+
+    with open_tab(browser, page.url) as tab:
+        answer_all(tab)
+        tab.page.route("**/api/stream", stream)
+        tab.page.reload()
+        tab.text("#campaign").to_contain_text("waiting: Read the gauges.")
+        assert tab.page.locator("#campaign .prompt").count() == 0
+        reason = "load"
+        tab.text("#campaign .prompt").to_contain_text("load")
+        tab.text("#campaign").not_to_contain_text("waiting: load")
+
+
 def _answering(body: str) -> Callable[[Any], None]:
     return lambda route: route.fulfill(status=200, content_type="application/json", body=body)
 

@@ -32,7 +32,7 @@ from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
 from bench.campaign.report.preview import preview_record, show_preview
-from bench.campaign.run.campaign_control import answer
+from bench.campaign.run.campaign_control import answer, runner_lock
 from bench.campaign.run.plan_requirements import Profiles, require_swings
 from bench.campaign.run.runner import Runner, RunOutcome
 from bench.campaign.run.runner_control import course_of, new_entry
@@ -87,6 +87,13 @@ class Person:
 
     def hide(self) -> None:
         pass
+
+
+class PowerCut(Person):
+    """Ends the run while it waits."""
+
+    def answered(self) -> bool:
+        raise RuntimeError("power cut")
 
 
 class Series:
@@ -221,10 +228,6 @@ def test_runner_stop_or_abort_while_waiting_keeps_prompt(make: Callable[..., Ser
 
 
 def test_runner_crash_keeps_open_prompt(make: Callable[..., Series]) -> None:
-    class PowerCut(Person):
-        def answered(self) -> bool:
-            raise RuntimeError("power cut")
-
     series = make()
     with pytest.raises(RuntimeError):
         series.run(Rig(), PowerCut())
@@ -333,6 +336,28 @@ def test_runner_work_before_access_is_shown_as_reason_of_waiting(make: Callable[
     series = make(ten_shots(magazine=10))
     assert series.run(Gauged(), Person()).state is CampaignState.FINISHED
     assert shown == [(CampaignState.WAITING, "Read the gauges.")]
+
+
+@pytest.mark.parametrize("earlier_run", [False, True])
+def test_answer_before_access_is_refused(make: Callable[..., Series], earlier_run: bool) -> None:
+    class Gauged(Rig):
+        """Has no chamber sensors."""
+
+        def grant_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+            for asks in (False, True):
+                if asks:
+                    ask("Read the gauges.")
+                with runner_lock(series.folder, series.entry.id), pytest.raises(Refused, match="prompt"):
+                    answer(series.store, series.folder, series.entry.id, "Bob", NOW)
+            super().grant_access(kind, ask)
+
+    series, rig = make(ten_shots(magazine=10)), Gauged()
+    if earlier_run:
+        with pytest.raises(RuntimeError):
+            series.run(Rig(), PowerCut())
+    assert series.run(rig, Person()).state is CampaignState.FINISHED
+    assert [prompt.by for prompt in series.prompts] == ["Ann"]
+    assert rig.doors == ["balls open", "balls shut"]
 
 
 def test_runner_real_time_crash_prompts_feeder_reload(make: Callable[..., Series]) -> None:
