@@ -74,11 +74,14 @@ from sim.robot import Club
 _AT_THE_ROBOT = {
     Refusal.GUARD: "Leave the robot and close the guard.",
     Refusal.LOCAL_RESET: "Press the reset button next to the robot.",
-    Refusal.GAUGE: "Lock the supply; once both gauges show 0, press the reset button next to them.",
+    Refusal.GAUGE: (
+        "Lock the supply, turn the regulator to 0. Empty by hand each chamber that vented slowly or whose "
+        "sensor failed. Once both gauges show 0, press the reset button next to them."
+    ),
 }
 """Refusals that a person at the robot can clear, and the actions."""
 _PERSON = 600.0
-"""Max time of a person for each of these actions (s)."""
+"""Max time of a person at the gauges (s)."""
 NO_WORD = "the launch monitor's process did not report the swing"
 
 
@@ -164,6 +167,10 @@ class LiveShots(ShotSource):
         self._monitored = bool(entry.real_time.get("launch_monitor"))
         self._measured = measured or {}
         self._ball_chosen, self._stays_armed = False, True
+        self._supply_shut = not entry.simulated
+        """Whether a person may have shut the supply for the access; unknown if an earlier run granted it."""
+        self._before_arming = ""
+        self._resume = f"golfbench campaign resume {entry.id}"
         self._events: list[tuple[str, str]] = []
         """(kind, text) of what happened on the way to the shot under way."""
         self._drift: list[str] = []
@@ -251,6 +258,8 @@ class LiveShots(ShotSource):
                 self._operator.release()
                 return
             self._operator.take_lease()
+            if self._client.status()["state"] != "ACCESS":
+                self._supply_shut = False
             self._until(lambda status: status["state"] == "ACCESS", self._client.access, ask)
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
@@ -260,6 +269,14 @@ class LiveShots(ShotSource):
         with _suspending():
             self._operator.take_lease()
             self._until(lambda status: status["state"] != "ACCESS", self._client.secure, ask)
+        if self._supply_shut:
+            work = "Unlock and open the supply, turn the regulator to its pressure in service"
+            self._before_arming = f"{work}, then {self._resume}"
+
+    def work_before_arming(self) -> str:
+        """Return the work of a person between locking and arming, once; empty if none."""
+        work, self._before_arming = self._before_arming, ""
+        return work
 
     def _until(
         self,
@@ -269,10 +286,11 @@ class LiveShots(ShotSource):
     ) -> None:
         """Repeat the request until the bench accepts it: chambers must be empty, or the guard closed.
 
-        `ask` shows each new action for which the bench waits; a person has time for each.
+        `ask` gets the action for which the bench waits at each look; a person has time for each.
         """
         deadline, shown = time.monotonic() + READY, ""
         while not holds(self._client.status()):
+            ask(shown)
             try:
                 request()
             except CommandRefused as refused:
@@ -280,8 +298,9 @@ class LiveShots(ShotSource):
                     raise
                 action = _AT_THE_ROBOT.get(refused.refusal, shown)
                 if action != shown:
-                    shown, deadline = action, time.monotonic() + _PERSON
-                    ask(action)
+                    gauged = refused.refusal is Refusal.GAUGE
+                    shown, deadline = action, time.monotonic() + (_PERSON if gauged else READY)
+                    self._supply_shut |= gauged
             self._operator.pause()
 
     def _prepare(self, step: Step, status: BenchStatus) -> bool:

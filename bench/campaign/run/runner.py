@@ -383,6 +383,9 @@ class Runner:
         if before := self._withdrawn():
             self._source.resume_after_access(PromptKind(before.kind), self._ask_also)
             self._stand(CampaignState.RUNNING, "")
+        if (work := self._source.work_before_arming()) and not self._requested()[0]:
+            self._store.change(self._entry.id, requested="pause", requested_by="")
+        self._obey_requests(work)
 
     def _prompt(self, wish: Preparation, number: int, now: datetime) -> Prompt:
         self._asked_so_far += 1
@@ -431,8 +434,16 @@ class Runner:
         self._stand(CampaignState.RUNNING, "")
 
     def _ask_also(self, text: str) -> None:
-        """Show work at the robot other than that of the prompt."""
-        self._stand(CampaignState.WAITING, text)
+        """Show work at the robot other than that of the prompt, unless `text` is empty.
+
+        Raises:
+            _RunEnd: a stop is requested.
+        """
+        if self._requested()[0] == "stop":
+            shown = f" ({text.rstrip('.')})" if text else ""
+            raise _RunEnd(CampaignState.STOPPED, f"{self._by_request('stopped')} while it waited{shown}")
+        if text and self._store.standing(self._entry.id).reason != text:
+            self._stand(CampaignState.WAITING, text)
 
     def _stand(self, state: CampaignState, reason: str) -> None:
         self._store.change(self._entry.id, state=state, reason=reason)
@@ -477,8 +488,8 @@ class Runner:
         _, by = self._requested()
         return f"{done} by request{f' of {by}' if by else ''}"
 
-    def _obey_requests(self) -> None:
-        """Wait while paused.
+    def _obey_requests(self, work: str = "") -> None:
+        """Wait while paused, for `work` of a person if not empty.
 
         Raises:
             _RunEnd: an end is requested.
@@ -494,7 +505,7 @@ class Runner:
                     raise _RunEnd(CampaignState.ABORTED, self._by_request("aborted"))
                 case "pause":
                     if paused is None:
-                        paused, text = time.monotonic(), self._by_request("paused")
+                        paused, text = time.monotonic(), work or self._by_request("paused")
                         self._commit()
                         self._source.rest()
                         self._report("paused", text)

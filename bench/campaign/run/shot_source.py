@@ -158,14 +158,19 @@ class ShotSource:
     def grant_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """Grant a person access to the robot, or to the whole bench. Raises Suspended as `take`.
 
-        `ask` shows earlier work of the person, such as a reading of the gauges.
+        `ask` shows earlier work of the person, such as a reading of the gauges; empty if none. It is called
+        at each look, and raises to end the wait.
         """
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """Continue after the person has confirmed the work, even if no access was granted. Raises Suspended.
 
-        `ask` shows what else the person has to do, such as to press a button.
+        `ask` shows what else the person has to do, such as to press a button, as in `grant_access`.
         """
+
+    def work_before_arming(self) -> str:
+        """Return the work of a person between locking and arming, once; empty if none."""
+        return ""
 
 
 class Operator(Protocol):

@@ -360,6 +360,62 @@ def test_answer_before_access_is_refused(make: Callable[..., Series], earlier_ru
     assert rig.doors == ["balls open", "balls shut"]
 
 
+@pytest.mark.parametrize("person", ["pauses", "shut the supply"])
+def test_runner_pauses_between_access_and_arming(make: Callable[..., Series], person: str) -> None:
+    class Gauged(Rig):
+        """Was opened with its supply shut, or paused by a person."""
+
+        def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+            super().resume_after_access(kind, ask)
+            if person == "pauses":
+                series.store.change(series.entry.id, requested="pause")
+            else:
+                work.append("Open the supply.")
+
+        def work_before_arming(self) -> str:
+            return work.pop() if work else ""
+
+    def confirms() -> None:
+        end = time.monotonic() + 20.0
+        while series.state is not CampaignState.PAUSED and time.monotonic() < end:
+            time.sleep(0.01)
+        reasons.append(series.store.standing(series.entry.id).reason)
+        taken.append(len(rig.taken))
+        series.store.change(series.entry.id, requested="")
+
+    series, rig, taken = make(ten_shots(magazine=10)), Gauged(), list[int]()
+    work, reasons = list[str](), list[str]()
+    with beside(confirms):
+        assert series.run(rig, Person()).state is CampaignState.FINISHED
+    assert (taken, reasons) == ([0], ["paused by request" if person == "pauses" else "Open the supply."])
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_runner_stop_while_person_is_at_robot_is_obeyed(make: Callable[..., Series], answered: bool) -> None:
+    class Gauged(Rig):
+        """Waits for a person."""
+
+        def wait(self, ask: Callable[[str], None]) -> None:
+            ask("")
+            ask("Read the gauges.")
+            series.store.change(series.entry.id, requested="stop", requested_by="Bob")
+            for _ in range(3):
+                ask("Read the gauges.")
+            raise AssertionError("still waiting")
+
+        def grant_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+            if not answered:
+                self.wait(ask)
+
+        def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+            self.wait(ask)
+
+    series = make(ten_shots(magazine=10))
+    outcome = series.run(Gauged(), Person())
+    assert outcome.state is CampaignState.STOPPED
+    assert outcome.reason == "stopped by request of Bob while it waited (Read the gauges)"
+
+
 def test_runner_real_time_crash_prompts_feeder_reload(make: Callable[..., Series]) -> None:
     def dies(number: int) -> dict[str, Any]:
         if number == 3:

@@ -502,7 +502,31 @@ def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan)
     asked: list[str] = []
     with shots_of(plan, bench) as source:
         source.resume_after_access(PromptKind.CLUB, asked.append)
-    assert asked == ["Leave the robot and close the guard.", "Press the reset button next to the robot."]
+    assert list(dict.fromkeys(asked)) == [
+        "",
+        "Leave the robot and close the guard.",
+        "Press the reset button next to the robot.",
+    ]
+
+
+def test_resume_after_access_guard_open_suspends_after_a_minute(
+    plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+
+    class Doors(StandingBench):
+        """Has an open guard."""
+
+        def secure(self) -> None:
+            now[0] += 25.0
+            raise refused(Verb.SECURE, "ACCESS", Refusal.GUARD)
+
+    monkeypatch.setattr(
+        "bench.campaign.run.live_shots.time", SimpleNamespace(monotonic=lambda: now[0], sleep=time.sleep)
+    )
+    with shots_of(plan, Doors(state="ACCESS")) as source, pytest.raises(Suspended):
+        source.resume_after_access(PromptKind.CLUB, print)
+    assert now[0] < 150.0
 
 
 def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
@@ -519,13 +543,42 @@ def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
                 raise refused(Verb.ACCESS, "READY", Refusal.GAUGE if now[0] > 25.0 else Refusal.NOT_VENTED)
             self._status["state"] = "ACCESS"
 
+        def secure(self) -> None:
+            self._status["state"] = "READY"
+
     asked: list[str] = []
     monkeypatch.setattr(
         "bench.campaign.run.live_shots.time", SimpleNamespace(monotonic=lambda: now[0], sleep=time.sleep)
     )
-    with shots_of(plan, Gauged()) as source:
+    with shots_of(plan, Gauged(), simulated=False) as source:
         source.grant_access(PromptKind.CLUB, asked.append)
-    assert asked == ["Lock the supply; once both gauges show 0, press the reset button next to them."]
+        assert source.work_before_arming() == ""
+        source.resume_after_access(PromptKind.CLUB, print)
+        assert source.work_before_arming().startswith("Unlock and open the supply")
+        assert source.work_before_arming() == ""
+    assert set(asked) == {
+        "",
+        "Lock the supply, turn the regulator to 0. Empty by hand each chamber that vented slowly or whose "
+        "sensor failed. Once both gauges show 0, press the reset button next to them.",
+    }
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_work_before_arming_access_of_earlier_run_opens_supply(plan: CampaignPlan, simulated: bool) -> None:
+    class Doors(StandingBench):
+        """Locks the guard."""
+
+        def access(self) -> None:
+            self._status["state"] = "ACCESS"
+
+        def secure(self) -> None:
+            self._status["state"] = "READY"
+
+    with shots_of(plan, Doors(state="ACCESS"), simulated=simulated) as source:
+        for earlier in (True, False):
+            source.grant_access(PromptKind.CLUB, print)
+            source.resume_after_access(PromptKind.CLUB, print)
+            assert bool(source.work_before_arming()) is (earlier and not simulated)
 
 
 def test_hindrance_missing_monitor_blocks_and_disabled_monitor_suspends(
