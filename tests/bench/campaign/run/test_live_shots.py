@@ -509,7 +509,7 @@ def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan)
     ]
 
 
-def test_resume_after_access_guard_open_suspends_after_a_minute(
+def test_resume_after_access_guard_open_suspends_after_one_minute(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [0.0]

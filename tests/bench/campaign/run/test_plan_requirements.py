@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from bench.base.errors import Refused
+from bench.base.errors import ExitCode, Refused
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.run.plan_requirements import (
     START_SERIES,
@@ -71,7 +71,7 @@ def test_campaign_check_lists_plan_keys_that_hardware_refuses(
     done = CliRunner().invoke(app, ["--config", str(file), "campaign", "check", str(plan)])
     errors = done.exception.exceptions if isinstance(done.exception, ExceptionGroup) else ()
     assert [error.location.rpartition(" ")[2] for error in errors if isinstance(error, Refused)] == refused
-    assert (done.exit_code == 0) is not bool(refused)
+    assert done.exit_code == (ExitCode.REFUSED if refused else ExitCode.OK)
 
 
 def test_swings_of_other_clubs_action_is_complete_command() -> None:
