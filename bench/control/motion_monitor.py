@@ -99,9 +99,9 @@ def _monitor_braking(state: Any, parameters: Any, readings: Any, time: float) ->
     """Escalate a BRAKE that does not fit the model, and name one that has lost its supply.
 
     The envelope has nothing to add: without a reference no following error exists, and for its other limits
-    the stopping table has nothing more severe than BRAKE. The pressure of an
-    emptied manifold is below any that braking leaves in a supplied one. After the safety relay opens, the
-    manifold is supplied until the shut-off valve shuts.
+    the stopping table has nothing more severe than BRAKE. The pressure of an emptied manifold is below any
+    that braking leaves in a supplied one. After the safety relay opens, the manifold is supplied until the
+    shut-off valve shuts.
     """
     s, e = state.control[0], state.estimator[0]
     if s.reaction == Reaction.BRAKE and not charging(s, time):
