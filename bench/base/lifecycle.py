@@ -151,7 +151,7 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.MOVING: ("a joint still moves", "wait until the robot rests, then retry"),
     Refusal.GAUGE: (
         "no sensor verifies that the chambers are empty",
-        "read the gauges, press the reset button there",
+        "lock the supply; once both gauges show 0, press the reset button there",
     ),
     Refusal.MANIFOLD: ("the supply manifold still holds pressure", "wait, or vent it by hand"),
     Refusal.BLOCKED: ("arming is blocked", "remove what blocks it"),
@@ -365,7 +365,10 @@ CAUSE_WORDS: dict[Cause, Words] = {
         "encoders and mechanical reference do not agree, or no index was found",
         "calibrate",
     ),
-    Cause.NOT_VENTED: ("the chambers did not empty in time", "do not approach; press the emergency stop"),
+    Cause.NOT_VENTED: (
+        "the chambers did not empty in time",
+        "keep away from the robot; press the emergency stop, then empty the chambers by hand",
+    ),
     Cause.DEVICE_PASSIVE: (
         "the device went passive after a time-out of its commands",
         "read its fault in golfbench status, then reset",

@@ -17,6 +17,7 @@ from bench.base.lifecycle import (
     NEEDS_LEASE,
     READINGS_LOST,
     READINGS_VALID,
+    REFUSAL_WORDS,
     STOP_REACTIONS,
     TRANSITIONS,
     WRIST_FAULT,
@@ -61,7 +62,13 @@ def test_cause_text_is_unique_for_every_cause() -> None:
 
 
 def test_not_vented_action_requests_emergency_stop() -> None:
-    assert CAUSE_TEXT[Cause.NOT_VENTED].endswith("do not approach; press the emergency stop")
+    action = "keep away from the robot; press the emergency stop, then empty the chambers by hand"
+    assert CAUSE_TEXT[Cause.NOT_VENTED].endswith(action)
+
+
+def test_gauge_refusal_action_locks_supply_first() -> None:
+    action = "lock the supply; once both gauges show 0, press the reset button there"
+    assert REFUSAL_WORDS[Refusal.GAUGE][1] == action
 
 
 def test_cause_joints_have_consecutive_numbers() -> None:
