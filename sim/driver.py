@@ -15,7 +15,7 @@ from numba import carray
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.base import PASSIVE, Command, DriverError, Readings, check_open, device_limited, invalid_time
-from drivers.base.compiled import compiled, fields, new_record, numbers
+from drivers.base.compiled import compiled_with_arrays, fields, new_record, numbers
 from drivers.base.compiled_slots import newest_record, slots_at
 from drivers.base.native import (
     DECLINED,
@@ -264,7 +264,7 @@ class SimDriver:
         return command
 
 
-@compiled
+@compiled_with_arrays
 def read_plant(block: int, record: int, time: float) -> int:
     """Advance the plant of a SimDriver's `block` as `read_record` does; the readings go to `record`."""
     a = carray(pointer(block), 7, np.int64)
@@ -290,7 +290,7 @@ def read_plant(block: int, record: int, time: float) -> int:
     return DONE | OPERATIONAL
 
 
-@compiled
+@compiled_with_arrays
 def write_plant(block: int, command: int, applied: int) -> int:
     """Apply the COMMAND at `command` within the device's limits, and write it to `applied`."""
     a = carray(pointer(block), 7, np.int64)

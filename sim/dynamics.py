@@ -22,7 +22,7 @@ from __future__ import annotations
 from math import cos, exp, inf, sin, sqrt
 from typing import Any
 
-from drivers.base.compiled import compiled, compiled_in_place, compiled_inner
+from drivers.base.compiled import compiled, compiled_in_place
 from sim.ground import ground_drag
 from sim.kane import kane_terms_at, solve_symmetric
 from sim.pneumatics import flow, stop_force
@@ -45,7 +45,7 @@ _SWEEPS = 500
 _CONVERGED = 1e-14
 
 
-@compiled_inner
+@compiled
 def head_geometry(r: Any, p: Any, y: Any) -> Head:
     """Return the face centre's x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s) from state vector `y`.
 
@@ -206,7 +206,7 @@ def _cosine_sine(angles: Any, i: int, angle: float) -> tuple[float, float]:
     return angles[3 + i], angles[6 + i]
 
 
-@compiled_inner
+@compiled
 def _derivative(
     r: Any,
     p: Any,
@@ -347,7 +347,7 @@ def _derivative(
         dy[14] = across_force / p.head_mass - across1 * a1 - across2 * a2 - across3 * a3
 
 
-@compiled_inner
+@compiled
 def _release(terms: Any, dy: Any, slip: Any) -> bool:
     """Set `slip` of the held joints whose load exceeds their static friction; return whether any did."""
     m11, m12, m13, m22, m23, m33 = terms[0], terms[1], terms[2], terms[3], terms[4], terms[5]
@@ -386,7 +386,7 @@ def _wrong_impulse(slip: float, before: float, after: float, bound: float, inter
     return 2.0 * bound * interval * abs(after) / (abs(before) + abs(after))
 
 
-@compiled_inner
+@compiled
 def _turn_round(y: Any, out: Any, slip: Any, terms: Any, interval: float) -> None:
     """Correct the speeds in `out` of joints whose speed crossed zero since `y`."""
     if slip[0] * out[3] >= 0.0 and slip[1] * out[4] >= 0.0 and slip[2] * out[5] >= 0.0:
@@ -410,7 +410,7 @@ def _turn_round(y: Any, out: Any, slip: Any, terms: Any, interval: float) -> Non
     out[3], out[4], out[5] = u1, u2, u3
 
 
-@compiled_inner
+@compiled
 def _between(nodes: Any, i: int, part: float) -> float:
     """Return opening i at `part` (0..1) of a substep: the parabola through its three `nodes`."""
     start, middle, end = nodes[0, i], nodes[1, i], nodes[2, i]
@@ -422,7 +422,7 @@ def _between(nodes: Any, i: int, part: float) -> float:
     return opening
 
 
-@compiled_inner
+@compiled
 def move(
     r: Any,
     p: Any,
@@ -464,7 +464,7 @@ def move(
     _turn_round(y, out, slip, terms, interval)
 
 
-@compiled_inner
+@compiled
 def stop_coordinate(r: Any, y: Any, i: int) -> float:
     """Return the coordinate that stop i limits: theta1 (rad), the rod's extension (m), theta3 (rad)."""
     if i != 1:

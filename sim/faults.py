@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from drivers.base import CHAMBERS, INVALID, JOINTS
-from drivers.base.compiled import compiled, fields, new_record
+from drivers.base.compiled import compiled, compiled_with_arrays, fields, new_record
 from drivers.base.native import rest_command
 from drivers.base.ranges import Range
 from drivers.base.records import COMMAND, READINGS
@@ -538,7 +538,7 @@ def _switch_number(signal: int) -> int:
     return 7 if signal == _SHUT_OFF_FEEDBACK else signal - _VENT_FEEDBACK + 5
 
 
-@compiled
+@compiled_with_arrays
 def _exchange_switches(r: Any, a: int, b: int) -> None:
     """Exchange the switches with numbers `a` and `b` of SWITCHES; one that is not fitted reads off."""
     on = np.empty(8, np.bool_)

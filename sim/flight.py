@@ -18,7 +18,7 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from drivers.base import Launch
-from drivers.base.compiled import compiled, fields, new_record
+from drivers.base.compiled import compiled, compiled_with_arrays, fields, new_record
 from drivers.base.ranges import Range, check_ranges
 from sim.ball import Air, Ball
 from sim.ground import Turf, bounce, roll
@@ -488,7 +488,7 @@ def _spin_axis(elevation: float, azimuth: float, tilt: float) -> Vector:
     return added((cos(tilt) * right[0], cos(tilt) * right[1], cos(tilt) * right[2]), -sin(tilt), up)
 
 
-@compiled
+@compiled_with_arrays
 def _fly_all(launches: Array, settings: _Settings, results: Array) -> None:
     no_path = np.empty((0, 4))
     for i in range(launches.shape[0]):

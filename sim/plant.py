@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.base.compiled import compiled, compiled_inner, copy_fields, fields, new_record
+from drivers.base.compiled import compiled, compiled_with_arrays, copy_fields, fields, new_record
 from drivers.base.ranges import Range
 from sim.ball import Ball
 from sim.dynamics import (
@@ -394,7 +394,7 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
     return state
 
 
-@compiled_inner
+@compiled
 def _note_stops(r: Any, p: Any, s: Any, y: Any) -> None:
     """Record the max energy and compression of each shock absorber."""
     for i in range(3):
@@ -414,7 +414,7 @@ def _index_side(p: Any, i: int, angle: float) -> float:
     return floor(turns)
 
 
-@compiled
+@compiled_with_arrays
 def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> None:
     """Advance `state` (PLANT_STATE, in place) by one tick with constant `command` (COMMAND).
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 from typing import Any
 
-from drivers.base.compiled import compiled_inner
+from drivers.base.compiled import compiled
 from sim.dynamics import head_geometry, head_jacobian, move
 from sim.impact import face_gap, impact_in_plane, meets_face, strike_point
 from sim.kane import kane_terms, solve_symmetric
@@ -17,14 +17,14 @@ _FASTER = 300.0
 """Speed (m/s) that no head reaches."""
 
 
-@compiled_inner
+@compiled
 def _gap(r: Any, p: Any, impact: Any, y: Any) -> float:
     """Return how far the ball is ahead of the face (m); below zero the face has passed it."""
     x, h, theta, _, _, _ = head_geometry(r, p, y)
     return face_gap(x, h, theta, p.ball_x, p.ball_y, impact)
 
 
-@compiled_inner
+@compiled
 def is_near_ball(r: Any, p: Any, y: Any) -> bool:
     """Return whether the face may meet the ball in the tick that begins with `y`."""
     x, h, _, _, _, _ = head_geometry(r, p, y)
@@ -32,7 +32,7 @@ def is_near_ball(r: Any, p: Any, y: Any) -> bool:
     return not (x - p.ball_x) ** 2 + (h - p.ball_y) ** 2 > far * far  # so that NaN is near
 
 
-@compiled_inner
+@compiled
 def find_contact(
     r: Any,
     p: Any,
@@ -80,7 +80,7 @@ def find_contact(
     return -1.0
 
 
-@compiled_inner
+@compiled
 def strike_ball(r: Any, p: Any, impact: Any, s: Any, y: Any) -> None:
     """Apply the impact: one impulse on the ball and, reversed, on the robot at state vector `y`.
 

@@ -46,7 +46,7 @@ from bench.simulation.safety import reset_peaks
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.profile import Profile
 from drivers.base import PASSIVE
-from drivers.base.compiled import compiled, new_record
+from drivers.base.compiled import compiled, compiled_with_arrays, new_record
 from drivers.base.records import pack_command
 from sim.impact import in_plane_error
 from sim.plant import PLANT_STATE, Plant, advance, build_plant
@@ -276,7 +276,7 @@ def follow_plan(
         advance(robot, plant, impact, state, command)
 
 
-@compiled
+@compiled_with_arrays
 def brake(
     robot: Any, plant: Any, impact: Any, state: Any, command: Any, valve: Any, law: Any, ticks: int
 ) -> None:

@@ -30,7 +30,7 @@ from bench.control.step_records import (
     ControlState,
 )
 from bench.records.telemetry.cycle_record import CYCLE
-from drivers.base.compiled import IS_PLAIN, compiled, new_record
+from drivers.base.compiled import IS_PLAIN, compiled, compiled_with_arrays, new_record
 from drivers.base.native import (
     DECLINED,
     OPERATIONAL,
@@ -122,7 +122,7 @@ def _note_applied(command: Any, applied: Any, cycle: Any) -> None:
     out.beacon, out.tee = done.beacon, done.tee
 
 
-@compiled
+@compiled_with_arrays
 def _run(address: int, time: float, stage: int, end: int) -> int:
     """Run the tick at `time` (s) from `stage` to before `end`; return the stage left to Python, or `end`.
 
@@ -163,7 +163,7 @@ def _run(address: int, time: float, stage: int, end: int) -> int:
     return stage
 
 
-@compiled
+@compiled_with_arrays
 def _think(a: Any, marks: Any, clock: int, time: float) -> None:
     """Estimate, decide and limit on the records at the addresses in the block `a`."""
     n = a[_LENGTHS : _LENGTHS + _COUNT]

@@ -19,7 +19,7 @@ from bench.supervisor.child_process import (
 )
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
-from drivers.base.compiled import IS_PLAIN, compiled, new_record, numbers
+from drivers.base.compiled import IS_PLAIN, compiled, compiled_with_arrays, new_record, numbers
 from drivers.base.compiled_slots import fetch_record, slots_at
 from drivers.base.native import pointer
 from drivers.base.shared_memory import HEAD_WORD, READ, SharedRecord
@@ -163,7 +163,7 @@ def _take(values: Any, memory: Any, control: Any, time: float, version: int) -> 
     m.version = _UNREAD if waiting else version
 
 
-@compiled
+@compiled_with_arrays
 def _take_newest(address: int, time: float) -> None:
     """Read the file and take new orders, at the addresses in the block."""
     a = carray(pointer(address), 5, np.int64)

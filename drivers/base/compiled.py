@@ -29,21 +29,19 @@ def compiled(function: _Function) -> _Function:
     """Compile `function` at its first call, cached on disk, IEEE arithmetic, no GIL.
 
     No fast-math: lock-step simulation and the real-time loop must agree bit for bit, and NaN must
-    stay NaN so that the envelope sees it.
-    """
-    return _compiled(function)
-
-
-def compiled_inner(function: _Function) -> _Function:
-    """Compile `function` as `compiled` does, for an inner loop: it counts no references to its arrays.
-
-    It must neither make nor return arrays, nor assign to slices; numba does not notice a returned one.
+    stay NaN so that the envelope sees it. It counts no references to its arrays, a third of a tick's time:
+    it must neither make nor return arrays, nor assign to slices. Numba does not notice a returned one.
     """
     return _compiled(function, _nrt=False)
 
 
+def compiled_with_arrays(function: _Function) -> _Function:
+    """Compile `function` as `compiled` does; it may make and return arrays."""
+    return _compiled(function, _nrt=True)
+
+
 def compiled_in_place(function: _Function) -> _Function:
-    """Compile `function` as `compiled_inner` does, into each function that calls it."""
+    """Compile `function` as `compiled` does, into each function that calls it."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 

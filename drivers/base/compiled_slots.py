@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import carray
 
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled, compiled_with_arrays
 from drivers.base.native import (
     DECLINED,
     DONE,
@@ -44,7 +44,7 @@ def _crc_tables() -> np.ndarray[Any, Any]:
 _TABLES = _crc_tables()
 
 
-@compiled
+@compiled_with_arrays
 def copy_words(source: int, target: int, size: int, start: int) -> int:
     """Copy `size` bytes, a multiple of 8; return their CRC-32, started with `start` as in `zlib.crc32`."""
     old, new = carray(pointer(source), size // 8, np.int64), carray(pointer(target), size // 8, np.int64)
@@ -66,7 +66,7 @@ def copy_words(source: int, target: int, size: int, start: int) -> int:
     return crc ^ 0xFFFFFFFF  # type: ignore[no-any-return]
 
 
-@compiled
+@compiled_with_arrays
 def slots_at(block: int) -> Any:
     """Return the block of a `MappedSlots` at its address."""
     return carray(pointer(block), 6, np.int64)

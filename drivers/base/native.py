@@ -21,7 +21,7 @@ from numba.core import sigutils
 from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
-from drivers.base.compiled import IS_PLAIN, compiled
+from drivers.base.compiled import IS_PLAIN, compiled, compiled_with_arrays
 from drivers.base.kept_code import keep_code
 
 DECLINED = 0
@@ -177,7 +177,7 @@ def call_native(typing: Any, function: Any, block: Any, first: Any, second: Any,
     return types.int64(*words, types.float64), generate
 
 
-@compiled
+@compiled_with_arrays
 def copy_bytes(source: int, target: int, size: int) -> None:
     """Copy `size` bytes from one address to another."""
     old, new = carray(pointer(source), size, np.uint8), carray(pointer(target), size, np.uint8)
@@ -191,7 +191,7 @@ def monotonic_now(scratch: int) -> int:
     return clock_now(CLOCK_MONOTONIC, scratch)
 
 
-@compiled
+@compiled_with_arrays
 def clock_now(clock: int, scratch: int) -> int:
     """Return a clock of the kernel, ns, which the kernel writes to the address `scratch`, 16 bytes."""
     _clock_gettime(clock, scratch)

@@ -22,7 +22,7 @@ from numba import carray, types
 
 from drivers.base import ABSENT, INVALID
 from drivers.base.clocks import MAX_READ
-from drivers.base.compiled import IS_PLAIN, compiled, fields, new_record, numbers
+from drivers.base.compiled import IS_PLAIN, compiled, compiled_with_arrays, fields, new_record, numbers
 from drivers.base.native import (
     CLOCK_REALTIME,
     DECLINED,
@@ -193,7 +193,7 @@ def failure(number: int) -> OSError:
     return OSError(number, os.strerror(number))
 
 
-@compiled
+@compiled_with_arrays
 def _last_error() -> int:
     return int(carray(pointer(_errno_location()), 1, np.int32)[0])
 

@@ -38,7 +38,7 @@ from bench.commissioning.machine.commissioning_step import (
 )
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from drivers.base import JOINTS
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled_with_arrays
 from sim.driver import joint_travel
 from sim.kinematics import right_arm_length
 from sim.plant import ACTUATOR_KEYS, PlantParameters, build_plant
@@ -92,7 +92,7 @@ class AirFit(NamedTuple):
     """Root mean square of the pressures' errors, Pa."""
 
 
-@compiled
+@compiled_with_arrays
 def spool_path(command: Any, matrix: Any) -> Any:
     """Return the spool's openings (n,) at the rows of `command` (n,); `matrix` (4,) propagates one row."""
     path = np.empty(len(command))
@@ -105,7 +105,7 @@ def spool_path(command: Any, matrix: Any) -> Any:
     return path
 
 
-@compiled
+@compiled_with_arrays
 def chamber_flows(opening: Any, pressure: Any, supply: Any, vent: Any, values: Any, atmosphere: float) -> Any:
     """Return the flows into chambers A and B (n, 2), m' R T (W), of `pressure` (n, 2) Pa.
 

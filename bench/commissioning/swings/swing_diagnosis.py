@@ -42,7 +42,7 @@ from bench.simulation.safety import Loads
 from bench.simulation.simulated_bench import ArmingFailed, Bench, ReturnFailed, SeriesSwing
 from bench.swing.profile import Profile
 from drivers.base import CHAMBERS, JOINTS
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled_with_arrays
 from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 Changed = Callable[[RecordedSwing, PlantParameters, float], Array]
@@ -214,7 +214,7 @@ def _lagging(command: Array, value: float, tick: float) -> Array:
     return np.asarray(_followed(command, tick / (value + tick)))
 
 
-@compiled
+@compiled_with_arrays
 def _followed(command: Array, share: float) -> Array:
     """Return `command` (n,) through a filter of first order that goes `share` of the way in each row."""
     out = command.copy()

@@ -77,14 +77,15 @@ def actuator_force(p: Any, pressure: Any, i: int) -> float:
 
 
 @compiled
-def load_force(robot: Any, p: Any, angle: Any, i: int) -> float:
-    """Return the force (N, shoulder N m) with which actuator `i` alone holds the robot at rest at `angle`."""
+def load_force(robot: Any, p: Any, angle: Any, i: int) -> tuple[float, float]:
+    """Return force (N, shoulder N m) and lever (m, shoulder 1) of actuator `i`, which alone holds `angle`."""
     _, _, _, _, _, _, h1, h2, h3, lever = kane_terms(robot[0], angle[0], angle[1], angle[2], 0.0, 0.0, 0.0)
     if i == 0:
-        return float(h1)
+        return h1, 1.0
     if i == 1:
-        return float(h2 / lever)
-    return float(h3 / wrist_cylinder(p, sin(angle[2]), cos(angle[2]))[1])
+        return h2 / lever, lever
+    _, wrist_lever = wrist_cylinder(p, sin(angle[2]), cos(angle[2]))
+    return h3 / wrist_lever, wrist_lever
 
 
 @compiled

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench.control.estimate.air import actuator_motion
 from bench.control.law.force_reference import actuator_forces
 from bench.control.law.gain_table import Gains
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled_with_arrays
 from sim.dynamics import chambers
 from sim.kane import accelerations
 from sim.plant import Plant
@@ -63,7 +63,7 @@ class LinearPlant(NamedTuple):
     """(n, 3, 3) at these frequencies, from commands to readings."""
 
 
-@compiled
+@compiled_with_arrays
 def _set_rates(robot: Any, p: Any, motion: Any, supply: float, opening: Any, air: Any, rates: Any) -> None:
     """Set the `rates` (12,) of `motion`, spools `opening` (3,) beyond their dead band, no dry friction.
 
@@ -88,7 +88,7 @@ def _set_rates(robot: Any, p: Any, motion: Any, supply: float, opening: Any, air
     rates[6:] = air[1, 6:12]
 
 
-@compiled
+@compiled_with_arrays
 def _set_slopes(
     robot: Any, p: Any, motion: Any, supply: float, opening: Any, by_motion: Any, by_spool: Any
 ) -> None:

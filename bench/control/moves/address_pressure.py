@@ -183,9 +183,9 @@ def _push(state: Any, parameters: Any, i: int) -> float:
     It is 0 if the PID already pushes more, as the PID also corrects errors of the model.
     """
     e, plant = state.estimator[0], parameters.plant[0]
-    towards = parameters.angle[0] - e.angle
-    _, way = actuator_motion(parameters.robot, plant, e.angle, towards, i)
-    pushes = actuator_force(plant, state.air[0].pressure, i) - load_force(parameters.robot, plant, e.angle, i)
+    load, lever = load_force(parameters.robot, plant, e.angle, i)
+    way = lever * (parameters.angle[0, i] - e.angle[i])
+    pushes = actuator_force(plant, state.air[0].pressure, i) - load
     enough = _LOOSENING * plant.coulomb[i]
     return float(max(enough - pushes, 0.0) if way > 0.0 else min(-enough - pushes, 0.0))
 
@@ -264,7 +264,7 @@ def precharge(state: Any, parameters: Any, time: float) -> None:
         side = square_wave((time - s.move.start) / profile.dither_period[i])
         s.address_air.trim[i] = 0.0
         if time >= s.air_from:
-            load = load_force(parameters.robot, plant, state.estimator[0].angle, i)
+            load, _ = load_force(parameters.robot, plant, state.estimator[0].angle, i)
             missing = load - actuator_force(plant, air.pressure, i)
             offset = _offset_for(state, parameters, i, missing, _CHARGING_RATE)
             s.desired[i] += side * profile.dither_amplitude[i] + _bounded(parameters, i, offset)

@@ -10,9 +10,12 @@ import sys
 from collections.abc import Iterator
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numba
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
 from drivers.base import compile_report
 from drivers.base.compile_report import CompileProgress, announce_compilation
@@ -91,8 +94,7 @@ def run(copy: Path) -> tuple[int, int]:
     )
 
 
-@pytest.mark.slow
-def test_compiled_inner_functions_return_no_arrays() -> None:
+def test_compiled_functions_without_references_return_no_arrays() -> None:
     """Numba does not notice: the caller would free an array that is still in use."""
     paths = (path for package in ("bench", "drivers", "sim") for path in (TOP / package).rglob("*.py"))
     trees = (ast.parse(path.read_text()) for path in paths)
@@ -101,10 +103,22 @@ def test_compiled_inner_functions_return_no_arrays() -> None:
         for tree in trees
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
-        and {ast.unparse(name) for name in node.decorator_list} & {"compiled_inner", "compiled_in_place"}
+        and {ast.unparse(name) for name in node.decorator_list} & {"compiled", "compiled_in_place"}
     }
     assert "move" in returned
     assert not {name: kind for name, kind in returned.items() if "Any" in kind or "rray" in kind}
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_compiled_function_that_makes_array_is_refused() -> None:
+    with pytest.raises(NumbaError):
+        _difference(np.ones(3), np.ones(3))
+
+
+@compiled
+def _difference(a: Any, b: Any) -> float:
+    apart = a - b
+    return float(apart[0])
 
 
 @pytest.mark.slow
