@@ -170,8 +170,6 @@ def _take_sensors(a: Any, r: Any, step: float) -> None:
 @compiled
 def _take_motion(a: Any, robot: Any, p: Any, e: Any, r: Any, step: float, free: bool) -> None:
     """Draw chambers without a sensor to the force that the estimated motion needs."""
-    needed, lever = needed_torques(robot, e)
-    _, wrist_lever = wrist_cylinder(p, sin(e.angle[2]), cos(e.angle[2]))
     for i in range(3):
         x, y = 6 + 2 * i, 7 + 2 * i
         a.given[i] += step / (step + _LAG) * (actuator_force(p, a.pressure, i) - a.given[i])
@@ -182,6 +180,8 @@ def _take_motion(a: Any, robot: Any, p: Any, e: Any, r: Any, step: float, free: 
         inside = p.lower[i] + _CLOSE < stop < p.upper[i] - _CLOSE
         if not (free and inside and abs(e.velocity[i]) > _MOVING):
             continue
+        needed, lever = needed_torques(robot, e)
+        _, wrist_lever = wrist_cylinder(p, sin(e.angle[2]), cos(e.angle[2]))
         to_joint = 1.0 if i == 0 else lever if i == 1 else wrist_lever
         friction = p.viscous[i] * speed + (p.coulomb[i] if speed > 0.0 else -p.coulomb[i])
         missing = needed[i] / to_joint + friction - a.given[i]
