@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -56,7 +57,7 @@ HEAVY = frozenset(
 SUPERVISOR_LOADS = {"asyncio"}
 """By sqlalchemy."""
 
-MAX_LOCKED, MAX_BENCH = 210 * MEBIBYTE, 510 * MEBIBYTE
+MAX_LOCKED, MAX_BENCH = 160 * MEBIBYTE, 460 * MEBIBYTE
 """Locked memory of the loop and memory of all processes, bytes, both proportional: pages that others map are
 divided among them, so a bench that runs alone has the largest values."""
 
@@ -106,6 +107,9 @@ def test_running_process_maps_only_allowed_libraries(bench: BenchProcess) -> Non
     assert not _libraries(bench.pid("recorder")) & {"llvmlite", "numba", "pandas", "scipy", "zenoh"}
     assert not _libraries(bench.pid("publisher")) & {"llvmlite", "numba", "pandas", "scipy"}
     assert not _libraries(bench.pid("loop")) & {"pandas", "pyarrow", "zenoh"}
+    maps = Path(f"/proc/{bench.pid('loop')}/maps").read_text()
+    assert "site-packages/numba/" in maps
+    assert not re.search(r"site-packages/scipy/(optimize|signal|sparse|stats)/", maps)  # by filterpy
 
 
 @pytest.mark.live
