@@ -129,8 +129,8 @@ def chambers(
     # Metering edges: P->A with B->R when the opening is positive, mirrored when negative.
     band = p.dead_band[i]
     edge, ratio = p.conductance[i], p.critical_ratio[i]
-    edge_a = edge * (p.leakage[i] + (min((opening - band) / (1.0 - band), 1.0) if opening > band else 0.0))
-    edge_b = edge * (p.leakage[i] + (min((-opening - band) / (1.0 - band), 1.0) if -opening > band else 0.0))
+    edge_a = edge * (p.leakage[i] + min(max((opening - band) / (1.0 - band), 0.0), 1.0))
+    edge_b = edge * (p.leakage[i] + min(max((-opening - band) / (1.0 - band), 0.0), 1.0))
     into_a, into_b = flow(edge_a, supply, pa, ratio), flow(edge_b, supply, pb, ratio)
     across = flow(p.cross_leakage[i], pa, pb, ratio)
     # Valve edge, vent and relief valve lead to the same place: one orifice.
