@@ -177,7 +177,7 @@ def _monitor_swing(state: Any, parameters: Any, readings: Any, time: float) -> N
     if broken == 0 and not charging(s, time):
         row = row_of(s)
         broken = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, row)
-    if broken == 0 and s.moving:
+    if broken == 0 and (s.moving or s.phase == Phase.HOLD):
         broken = first_motion_cause(s, parameters.control[0], state.estimator[0].velocity)
     longest = s.move.duration + parameters.control[0].move_timeout
     if broken == 0 and s.moving and time - s.move.start > longest:

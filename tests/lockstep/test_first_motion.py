@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.base.configuration_files import find_configuration
-from bench.base.lifecycle import Cause, Request, State
+from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.config import load_configuration, shipped_configuration
 from bench.control.moves.first_motion import forget_answers
 from bench.control.settings import build_controller
@@ -21,7 +21,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import JOINTS
 from sim.driver import hanging_pose, joint_travel
-from sim.faults import Fault
+from sim.faults import Fault, own_records
 from sim.plant import PlantParameters, build_plant
 from tests.compiled_only import needs_speed
 from tests.sampling import release_except
@@ -137,3 +137,24 @@ def test_first_motion_fault_free_robot_continues(request_: Request) -> None:
     assert _state(bench) is (State.READY if request_ is Request.HOME else State.ARMED)
     if request_ is Request.HOME:
         assert bench.state.control["first_motion"]["answered"].all()
+
+
+@pytest.mark.parametrize("joint", range(3), ids=JOINTS)
+def test_hold_mirrored_encoder_of_unanswered_joint_stops_slow_robot(joint: int) -> None:
+    """A joint close to its address comes to hold without an answer; the model-based check is off."""
+    robot = robot_of("default", "hanging")
+    unwatched = robot.parameters.model.copy()
+    unwatched["check"] = False
+    parameters = robot.parameters._replace(model=unwatched)
+    bench = Lockstep(own_records(build_plant(robot.plant)), parameters, robot.rest)
+    bench.state = new_control_state(State.READY)
+    bench.advance(1, Request.ARM)
+    while bench.state.control["phase"][0] != Phase.HOLD:
+        bench.advance(1)
+    forget_answers(bench.state.control[0])
+    record = bench.plant.plant
+    counts = record["encoder_scale"][0, joint] * bench.plant_state["angle"][0, joint]
+    record["encoder_zero"][0, joint] += 2.0 * counts
+    record["encoder_scale"][0, joint] *= -1.0
+    records = bench.advance(5_000)
+    assert records["plant_head_speed"].max() < ENCODER

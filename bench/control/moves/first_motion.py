@@ -72,7 +72,7 @@ def bound_first(s: Any, p: Any, i: int, opening: float) -> float:
 @compiled
 def centre_unanswered(s: Any) -> None:
     """Centre the valves of joints that have not answered: a brake would drive on a reversed one."""
-    slow = s.phase in (Phase.HOMING, Phase.RETURN)
+    slow = s.phase in (Phase.HOMING, Phase.HOLD, Phase.RETURN)
     for i in range(3):
         if slow and s.first_motion.answered[i] == 0:
             s.desired[i] = 0.0

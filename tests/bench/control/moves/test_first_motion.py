@@ -135,7 +135,14 @@ def test_first_motion_cause_fast_unanswered_joint_reports_following(
 
 
 @pytest.mark.parametrize(
-    ("phase", "left"), [(Phase.HOMING, 0.0), (Phase.RETURN, 0.0), (Phase.DOWNSWING, 0.5)]
+    ("phase", "left"),
+    [
+        (Phase.HOMING, 0.0),
+        (Phase.RETURN, 0.0),
+        (Phase.HOLD, 0.0),
+        (Phase.BACKSWING, 0.5),
+        (Phase.DOWNSWING, 0.5),
+    ],
 )
 def test_centre_unanswered_in_slow_move_closes_valve(joints: Joints, phase: Phase, left: float) -> None:
     joints.state["phase"], joints.state["desired"] = phase, 0.5
