@@ -204,7 +204,6 @@ def test_check_inputs_supply_span_error_is_found_by_gauge(
     assert "by the gauge" in findings[-1].found
 
 
-@pytest.mark.slow
 def test_check_inputs_unproven_guard_keeps_supply_off(wired: Configuration) -> None:
     turned = list[float]()
     with SimulatedMachine(wired.plant, wired.plant, (broken("guard closed", "stuck", 1.0),)) as machine:

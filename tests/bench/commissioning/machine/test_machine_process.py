@@ -271,7 +271,6 @@ def test_machine_server_arm_refused_reports_state_and_reason(
     server.obey("vent", 40.0)
 
 
-@pytest.mark.slow
 @needs_speed
 @pytest.mark.timeout(600)
 def test_machine_server_release_guard_shuts_supply_until_lock_guard(
