@@ -120,7 +120,7 @@ def _watched(
 
 
 def off_at_rest(readings: Readings, plant: PlantParameters) -> list[InputFinding]:
-    """Return the fitted pressure sensors that do not show the atmosphere, vented, as access requires."""
+    """Return the fitted pressure sensors that do not show the atmosphere, vented, as access requires it."""
     atmosphere, tolerance = plant.supply.atmosphere, zero_tolerance(plant)
     sensors = ("supply", *CHAMBERS)
     shown = (readings.supply_pressure, *readings.chamber_pressure)
@@ -128,7 +128,8 @@ def off_at_rest(readings: Readings, plant: PlantParameters) -> list[InputFinding
         InputFinding(
             f"{name} sensor",
             f"{1e-5 * pressure:.3f} bar absolute, vented" if isfinite(pressure) else "no believable reading",
-            f"{1e-5 * atmosphere:.3f} bar within {1e-5 * tolerance:.3f}, as access requires",
+            f"{1e-5 * atmosphere:.3f} bar within {1e-5 * tolerance:.3f}: above, access is refused; below, "
+            "held air is not seen",
             "Set its zero and span, or replace it; if all differ alike, correct plant.supply.atmosphere.",
         )
         for name, pressure in zip(sensors, shown, strict=True)

@@ -186,8 +186,9 @@ def _require_sensors(trace: MotionTrace, plant: PlantParameters) -> None:
     if abs(off[worst]) > zero_tolerance(plant):
         location = f"{CHAMBERS[worst]} sensor"
         found = f"{1e-5 * trace.pressure[-1, worst]:.3f} bar with the chamber vented"
-        action = "Set the sensor's zero, or replace it; or correct plant.supply.atmosphere."
-        raise MachineFault(location, found, f"{1e-5 * plant.supply.atmosphere:.3f} bar", action)
+        action = "Set the sensor's zero, or replace it; if all differ alike, correct plant.supply.atmosphere."
+        wanted = f"{1e-5 * plant.supply.atmosphere:.3f} bar within {1e-5 * zero_tolerance(plant):.3f}"
+        raise MachineFault(location, found, wanted, action)
 
 
 def _require_vents(traces: Traces, plant: PlantParameters) -> None:
