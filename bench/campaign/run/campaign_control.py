@@ -32,6 +32,9 @@ def answer(
     waits = standing.state is CampaignState.WAITING and prompts and standing.reason == prompts[-1].text
     if balls is not None and prompts and prompts[-1].answered is None:
         prompts[-1].require_count(balls)
+    if running and not waits and prompts and prompts[-1].answered is None:
+        found = f"no access yet: {standing.reason or standing.state}"
+        raise Refused(f"campaign {campaign}", found, "an unlocked guard", "Answer once the prompt is shown.")
     if (running and not waits) or not prompts or not store.answer(campaign, prompts[-1].number, by, now):
         location, expected = f"campaign {campaign}", "a prompt that waits for an answer"
         raise Refused(location, "no open prompt", expected, "See golfbench campaign list.")

@@ -495,12 +495,13 @@ class Runner:
             _RunEnd: an end is requested.
         """
         paused: float | None = None
+        first = f"; before the robot arms: {work}" if work else ""
         while True:
             if self._interrupted():
-                raise _RunEnd(CampaignState.STOPPED, f"stopped by {self._cause()}")
+                raise _RunEnd(CampaignState.STOPPED, f"stopped by {self._cause()}{first}")
             match self._requested()[0]:
                 case "stop":
-                    raise _RunEnd(CampaignState.STOPPED, self._by_request("stopped"))
+                    raise _RunEnd(CampaignState.STOPPED, f"{self._by_request('stopped')}{first}")
                 case "abort":
                     raise _RunEnd(CampaignState.ABORTED, self._by_request("aborted"))
                 case "pause":

@@ -428,10 +428,14 @@ def mark_keys(
 # Prompts ---------------------------------------------------------------------------------------------
 
 _GUARD = "The chambers are vented and the guard is unlocked. Close it when everybody is out"
+_SHUT = (
+    "If the supply was shut without a request for gauges, first run golfbench campaign pause. Then answer: "
+    "the bench locks the guard, warns and arms, or pauses until the supply is open."
+)
 _BENCH = "Answer when it runs again"
 _AFTER = {
-    PromptKind.CLUB: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
-    PromptKind.BALLS: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
+    PromptKind.CLUB: f"{_GUARD}. {_SHUT}",
+    PromptKind.BALLS: f"{_GUARD}. {_SHUT}",
     PromptKind.BENCH: f"{_BENCH}: the campaign takes the bench and continues.",
 }
 _YES = frozenset({"", "y", "yes", "ok", "done"})
