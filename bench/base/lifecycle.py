@@ -126,7 +126,7 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.NONE: ("not refused", ""),
     Refusal.STATE: ("not possible in this state", ""),
     Refusal.STOPPING: ("a stop is under way", "wait for standstill"),
-    Refusal.EMERGENCY_STOP: ("the emergency stop circuit is open", "release it"),
+    Refusal.EMERGENCY_STOP: ("the emergency stop circuit is open", "release it and reset the safety relay"),
     Refusal.GUARD: ("the guard is open or not locked", "close it (after an access: golfbench access --end)"),
     Refusal.READINGS: ("an encoder yields no valid readings", "check cables and supply voltage"),
     Refusal.NOT_AT_ADDRESS: ("the robot does not rest at its address yet", "wait, then retry"),
@@ -339,7 +339,7 @@ def _each_chamber(first: Cause, fact: str, action: str) -> dict[Cause, Words]:
 
 CAUSE_WORDS: dict[Cause, Words] = {
     Cause.NONE: ("none", ""),
-    Cause.EMERGENCY_STOP: ("emergency stop circuit open", "release it, then reset"),
+    Cause.EMERGENCY_STOP: ("emergency stop circuit open", "release it, reset the safety relay, then reset"),
     Cause.GUARD: ("guard open or not locked", "close it, then reset"),
     Cause.NOT_FINITE: ("a NaN or infinite value reached the envelope", "keep the record and report it"),
     **_each_joint(
