@@ -71,7 +71,8 @@ def robot_of(name: str, pose: str) -> Robot:
     c = load_configuration(shipped_configuration() if name == "default" else find_configuration(Path(name)))
     profile, plant = load_profile(find_profile(c.swing.profile)), c.plant
     parameters = build_controller(plant, profile, c.control, c.envelope, c.estimator, homing=c.homing)
-    start = hanging_pose(plant) if pose == "hanging" else joint_travel(plant)[0] + 1e-3
+    lower, upper = joint_travel(plant)
+    start = {"hanging": hanging_pose(plant), "stops": lower + 1e-3, "upper stops": upper - 1e-3}[pose]
     bench = Lockstep(build_plant(plant), parameters, start)
     bench.state = new_control_state(State.SAFE)
     bench.advance(6_000)
@@ -129,9 +130,10 @@ def test_first_motion_reversed_encoder_stops_slow_joint(case: tuple[str, str, Re
     assert records["plant_head_speed"].max() < (HOMING if request is Request.HOME else ENCODER)
 
 
+@pytest.mark.parametrize("pose", ["hanging", "stops", "upper stops"])
 @pytest.mark.parametrize("request_", [Request.HOME, Request.ARM])
-def test_first_motion_fault_free_robot_continues(request_: Request) -> None:
-    robot = robot_of("default", "hanging")
+def test_first_motion_fault_free_robot_continues(request_: Request, pose: str) -> None:
+    robot = robot_of("default", pose)
     bench, _ = first_motion(robot, robot.plant, request_)
     assert _cause(bench) is Cause.NONE
     assert _state(bench) is (State.READY if request_ is Request.HOME else State.ARMED)

@@ -267,6 +267,8 @@ def precharge(state: Any, parameters: Any, time: float) -> None:
             load, _ = load_force(parameters.robot, plant, state.estimator[0].angle, i)
             missing = load - actuator_force(plant, air.pressure, i)
             offset = _offset_for(state, parameters, i, missing, _CHARGING_RATE)
+            if s.first_motion.answered[i] == 0:  # its PID is bounded: it cannot hold a joint that drifts
+                offset += _balancing(state, parameters, i)
             s.desired[i] += side * profile.dither_amplitude[i] + _bounded(parameters, i, offset)
 
 
