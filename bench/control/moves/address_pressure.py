@@ -52,6 +52,9 @@ _RATE = 6.0
 """Rate at which a missing difference is made up for, 1/s."""
 _CHARGING_RATE = 30.0
 """The same while charging, 1/s."""
+_SOFT = 0.3
+"""Fraction of the dither beyond the dead band until a joint has answered: less air, which would drive a joint
+whose valve is reversed."""
 _TRIM_RATE = 1.0
 """Rate at which the offset that keeps the difference, or loosens a late joint, is learned, 1/s."""
 _MAX_TRIM = 0.1
@@ -145,9 +148,22 @@ def _planned_force(plant: Any, profile: Any, air: Any, i: int) -> float:
 
 
 @compiled
-def _bounded(parameters: Any, i: int, offset: float) -> float:
+def _dither_part(s: Any, i: int) -> float:
+    """Return the fraction of the dither beyond the dead band that spool `i` is moved with."""
+    return _SOFT if s.first_motion.answered[i] == 0 else 1.0
+
+
+@compiled
+def _amplitude(parameters: Any, i: int, part: float) -> float:
+    """Return the dither's amplitude of spool `i`, its part beyond the dead band times `part`."""
+    whole: float = parameters.profile[0].dither_amplitude[i]
+    return whole - (1.0 - part) * (whole - float(parameters.plant[0].dead_band[i]))
+
+
+@compiled
+def _bounded(parameters: Any, i: int, offset: float, part: float = 1.0) -> float:
     """Return the `offset` of spool `i`, bounded so that its dither still controls the sum."""
-    most = _OFFSET * (parameters.profile[0].dither_amplitude[i] - parameters.plant[0].dead_band[i])
+    most = _OFFSET * (_amplitude(parameters, i, part) - parameters.plant[0].dead_band[i])
     return float(min(max(offset, -most), most))
 
 
@@ -163,7 +179,7 @@ def _offset_for(state: Any, parameters: Any, i: int, missing: float, rate: float
 
 
 @compiled
-def _balancing(state: Any, parameters: Any, i: int) -> float:
+def _balancing(state: Any, parameters: Any, i: int, part: float = 1.0) -> float:
     """Return the dither offset that keeps the force constant, by the model.
 
     The inflow of one chamber differs from the outflow of the other, and chambers leak.
@@ -171,7 +187,7 @@ def _balancing(state: Any, parameters: Any, i: int) -> float:
     e, air, plant = state.estimator[0], state.air[0], parameters.plant[0]
     position, _ = actuator_motion(parameters.robot, plant, e.angle, e.velocity, i)
     still, up, down = force_rates(plant, i, air.pressure, position, 0.0)
-    drift = still + parameters.profile[0].dither_duty[i] * (up + down)
+    drift = still + part * parameters.profile[0].dither_duty[i] * (up + down)
     offset = -2.0 * (1.0 - plant.dead_band[i]) * drift / (up - down) if up > down else 0.0
     return float(offset) if np.isfinite(offset) else 0.0
 
@@ -267,9 +283,10 @@ def precharge(state: Any, parameters: Any, time: float) -> None:
             load, _ = load_force(parameters.robot, plant, state.estimator[0].angle, i)
             missing = load - actuator_force(plant, air.pressure, i)
             offset = _offset_for(state, parameters, i, missing, _CHARGING_RATE)
-            if s.first_motion.answered[i] == 0:  # its PID is bounded: it cannot hold a joint that drifts
-                offset += _balancing(state, parameters, i)
-            s.desired[i] += side * profile.dither_amplitude[i] + _bounded(parameters, i, offset)
+            part = _dither_part(s, i)
+            if part < 1.0:  # its PID is bounded: it cannot hold a joint that drifts
+                offset += _balancing(state, parameters, i, part)
+            s.desired[i] += side * _amplitude(parameters, i, part) + _bounded(parameters, i, offset, part)
 
 
 @compiled
@@ -287,7 +304,7 @@ def dither_move(state: Any, parameters: Any, time: float) -> None:
         if missed and abs(e.velocity[i]) > _SLIPS * p.rest_speed[i]:
             state.pid[0].integral[i] = 0.0
         side = square_wave((time - s.move.start) / profile.dither_period[i])
-        s.desired[i] += side * profile.dither_amplitude[i]
+        s.desired[i] += side * _amplitude(parameters, i, _dither_part(s, i))
         if missed:
             s.desired[i] += _bounded(parameters, i, _balancing(state, parameters, i))
 
