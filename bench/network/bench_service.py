@@ -209,6 +209,17 @@ class StopStatus(TypedDict):
     run_started_utc: NotRequired[str | None]
 
 
+class WearFinding(TypedDict):
+    """A finding of `golfbench wear`; open until a later analysis no longer has it."""
+
+    part: str
+    """Worn part and value, or joint and comparison whose residual nears its limit."""
+    text: str
+    """Finding and action, for people."""
+    time_utc: str
+    """Time of the newest swing analysed, ISO 8601."""
+
+
 class BenchStatus(TypedDict):
     """A snapshot of the bench, valid as JSON: no NaN, None for missing values."""
 
@@ -254,6 +265,8 @@ class BenchStatus(TypedDict):
     """Texts of the pressure sensors, vents, manifold and guard's lock that fail."""
     drift: list[str]
     """Warnings of the latest swing's record: speed or strike has drifted from that of the first swings."""
+    wear: list[WearFinding]
+    """Findings of the latest `golfbench wear`."""
     vents_open: Annotated[list[bool | None], Count(2)]
     """Position of each of the two vents; None without feedback."""
     shut_off_open: bool | None

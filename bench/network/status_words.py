@@ -195,9 +195,10 @@ def absent_monitor_text(link: LaunchMonitorStatus) -> str:
 
 
 def warning_texts(status: BenchStatus) -> list[str]:
-    """Return the warnings to the operator: readiness, air, drift, device, processes, launch monitor."""
+    """Return the warnings to the operator: readiness, air, drift, wear, device, processes, launch monitor."""
     found = [f"arming blocked: {block_text(block)}" for block in status["arming_blocks"]]
     found += [*status["readiness_warnings"], *status["air_faults"], *status["drift"]]
+    found += [f"wear seen {one['time_utc'][:10]}, {one['text']}" for one in status["wear"]]
     if fault := status["device"]["fault"]:
         found.append(f"device: {fault}")
     for name, process in status["processes"].items():

@@ -219,6 +219,7 @@ class Daemon:
             bench=self.configuration.bench.id,
             swings=self._swings,
             drift=self._drift,
+            wear=self._marker.wear,
             read_only=self.read_only,
             driver=self.configuration.driver.name,
             profile=self.profile.name,
@@ -226,7 +227,7 @@ class Daemon:
             club=self.configuration.swing.club,
             series=self.configuration.lifecycle.hold_between_swings,
             arming_blocks=self._blocks,
-            readiness_warnings=list(self._readiness.warnings),
+            readiness_warnings=[*self._readiness.warnings, *filter(None, [self._marker.wear_fault])],
             support_ready=self._support_ready,
             launch_monitor=self._launch_monitor_status(),
             processes={
@@ -433,6 +434,7 @@ class Daemon:
             self._publish("lease lapses", holder=self._lease["holder"], seconds_left=left)
 
     def _sum_up(self, now: float) -> None:
+        self._marker.look_for_wear()
         after = self._timing.snapshot()
         self._statistics = self._statistics_of(after, now - self._summed_up)
         self._before_timing, self._summed_up = after, now

@@ -7,7 +7,7 @@ import logging
 import os
 import socket
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError
-from bench.base.json_schema import json_value
+from bench.base.json_schema import json_value, require_fit
 from bench.base.lifecycle import (
     CAUSE_TEXT,
     CAUSE_WORDS,
@@ -37,6 +37,7 @@ from bench.network.bench_service import (
     BenchStatus,
     CauseStatus,
     LaunchMonitorStatus,
+    WearFinding,
 )
 from bench.records.telemetry.cycle_record import CYCLE
 
@@ -217,10 +218,48 @@ def _position(seen: float) -> bool | None:
 # State kept between two runs of a bench ---------------------------------------------------------------
 
 
+def wear_file(data_dir: Path, bench_id: str) -> Path:
+    """Return the file of the findings of `golfbench wear`."""
+    return data_dir / "state" / f"{bench_id}.wear.json"
+
+
+def write_wear(path: Path, findings: list[WearFinding]) -> None:
+    """Store `findings` in place of those of the analysis before.
+
+    Raises:
+        BenchError: the file cannot be written.
+    """
+    with suppress(OSError):  # the file reports it
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(path) as stream:
+        stream.write(json.dumps({"version": 1, "findings": findings}, indent=1).encode())
+
+
+def read_wear(path: Path) -> list[WearFinding]:
+    """Return the stored findings; none without a file.
+
+    Raises:
+        BenchError: the file cannot be read, or has another content.
+    """
+    action = f"Run golfbench wear again, or delete {path}."
+    try:
+        content = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, RecursionError) as error:
+        raise BenchError(str(path), str(error), "findings of golfbench wear", action) from None
+    match content:
+        case {"version": 1, "findings": findings}:
+            require_fit(findings, list[WearFinding], f"{path}: findings", action)
+            return cast(list[WearFinding], findings)
+    raise BenchError(str(path), "another content", "findings of golfbench wear, version 1", action)
+
+
 class RunMarker:
     """The file `state/<bench id>.json` in the data folder, written by a separate thread.
 
-    A disk write may take longer than the supervisor's heartbeat time-out.
+    The thread also reads the findings of wear beside it. Access to a disk may take longer than the
+    supervisor's heartbeat time-out.
     """
 
     def __init__(self, data_dir: Path, bench_id: str) -> None:
@@ -256,6 +295,12 @@ class RunMarker:
                 "run_started_utc": before.get("started_utc"),
             }
         self._content: dict[str, Any] = {}
+        self.wear: list[WearFinding] = []
+        """Findings of wear that were read last."""
+        self.wear_fault = ""
+        """Fault of their file; empty if there is none."""
+        self._wear_file = wear_file(data_dir, bench_id)
+        self._reading: Future[None] | None = None
         self._writer = ThreadPoolExecutor(1, "run marker")
 
     def begin(self, pid: int, started_utc: str) -> None:
@@ -270,6 +315,20 @@ class RunMarker:
         """Store `stop`; `fatal` marks that the run ends with it."""
         self.last_stop = stop
         self._put({**self._content, **({"stopped": True} if fatal else {})})
+
+    def look_for_wear(self) -> None:
+        """Read the findings of wear, without waiting for it."""
+        if self._reading is None or self._reading.done():
+            self._reading = self._writer.submit(self._read_wear)
+
+    def _read_wear(self) -> None:
+        try:
+            self.wear, fault = read_wear(self._wear_file), ""
+        except BenchError as error:
+            self.wear, fault = [], str(error)
+        if fault and fault != self.wear_fault:
+            _log.warning("%s", fault)
+        self.wear_fault = fault
 
     def end(self, *, clean: bool) -> None:
         """Store whether the shutdown was clean, and wait until it is written."""

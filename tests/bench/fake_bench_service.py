@@ -140,6 +140,7 @@ class FakeDesk:
             spool_positions=[0.0, -0.01, None],
             air_faults=[],
             drift=[],
+            wear=[],
             vents_open=[True, True],
             shut_off_open=False,
             emergency_stop_clear=True,

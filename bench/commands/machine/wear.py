@@ -29,6 +29,7 @@ from bench.commands.common import (
 if TYPE_CHECKING:
     from bench.commissioning.swings.wear import PartWear
     from bench.learning.identify import Identified
+    from bench.network.bench_service import WearFinding
     from bench.simulation.replay import Margin
 
 Records = Annotated[list[Path], argument("RECORD...", "Parquet files of swings, or folders of them.")]
@@ -47,7 +48,7 @@ _SHOWN = 0.25
 """Share of the worn change from which a part has its line."""
 
 
-def wear(records: Records, plot: Plot = None, json_: Json = False) -> None:
+def wear(context: typer.Context, records: Records, plot: Plot = None, json_: Json = False) -> None:
     """Show what wears on the robot of recorded swings, by part, with the trend; draw it with --plot.
 
     The second table has the largest residuals as shares of the limits of the model-based check. Exits with 1
@@ -66,50 +67,71 @@ def wear(records: Records, plot: Plot = None, json_: Json = False) -> None:
         for done, file in enumerate(files):
             cycles, metadata = read_swing(file)
             time = str(metadata.get("time_utc", file.name))
-            swings.append((time, file, residual_shares(cycles, metadata, str(file))))
+            shares = residual_shares(cycles, metadata, str(file))
+            swings.append((time, file, shares, metadata.get("bench")))
             show(done + 1)
     swings.sort(key=lambda swing: swing[0])
-    parts = _worn_parts([file for _, file, _ in swings], plot)
-    found = margins(np.array([shares for _, _, shares in swings]))
+    parts = _worn_parts([file for _, file, *_ in swings], plot)
+    found = margins(np.array([shares for _, _, shares, _ in swings]))
     near = [one for one in found if one.near]
     ahead = min(AHEAD, len(swings))
     due = [one for one in parts if one.is_worn or one.left <= ahead]
+    worn_texts = {f"{one.value.part}, {one.value.name}": _worn_text(one) for one in due}
+    near_texts = {f"{one.joint} {one.kind}": _near_text(one, parts) for one in near}
+    _store(context, swings[-1][0], swings[-1][-1], worn_texts | near_texts)
     if json_:
         rows = [{name: finite(value) for name, value in one._asdict().items()} for one in found]
         worn = {"parts": [_as_json(one) for one in parts], "worn": bool(due)}
         show_json({"swings": len(swings), **worn, "margins": rows, "near": bool(near)})
     else:
-        _print(parts, due, found, len(swings))
+        _print(parts, list(worn_texts.values()), found, list(near_texts.values()), len(swings))
     exit_unless(not near and not due)
 
 
-def _print(parts: list[PartWear], due: list[PartWear], found: list[Margin], swings: int) -> None:
-    """Print both tables, and what to do about the parts that are `due` and about residuals near a limit."""
+def _store(context: typer.Context, time_utc: str, bench: str | None, texts: dict[str, str]) -> None:
+    """Store findings, texts by part, for the status of `bench` if it is the configured one."""
+    from bench.supervisor.status import wear_file, write_wear
+
+    settings = context.ensure_object(Session).configuration().bench
+    if bench == settings.id:
+        findings: list[WearFinding] = [
+            {"part": part, "text": text, "time_utc": time_utc} for part, text in texts.items()
+        ]
+        try:
+            write_wear(wear_file(settings.data_dir, bench), findings)
+        except BenchError as error:
+            Console(stderr=True).print(str(error), style="yellow", highlight=False)
+
+
+def _worn_text(one: PartWear) -> str:
+    soon = "" if one.is_worn else f" within {max(2, ceil(one.left))} more swings at this rate"
+    return f"{one.value.part}, {one.value.name}: worn{soon}. {one.value.action}"
+
+
+def _near_text(one: Margin, parts: list[PartWear]) -> str:
+    changed = (
+        f"{part.value.part}, {part.value.name}"
+        for part in parts
+        if part.value.part.startswith(one.joint) and abs(part.latest) >= _CLEAR * part.value.most
+    )
+    where = next(changed, _PARTS[one.kind].format(joint=one.joint))
+    action = "Look at it; if nothing is broken, measure the robot again with golfbench commission."
+    return f"{one.joint} {one.kind} is near its limit: {where}. {action}"
+
+
+def _print(parts: list[PartWear], worn: list[str], found: list[Margin], near: list[str], swings: int) -> None:
+    """Print both tables, each with the findings `worn` or `near` below it."""
     console = Console()
     shown = [one for one in parts if abs(one.latest) >= _SHOWN * one.value.most]
     if shown:
         console.print(_part_table(shown, len(parts) - len(shown)))
     elif parts:
         console.print(f"None of {len(parts)} values has changed by a quarter of what counts as worn.")
-    for part in due:
-        soon = "" if part.is_worn else f" within {max(2, ceil(part.left))} more swings at this rate"
-        said = f"{part.value.part}, {part.value.name}: worn{soon}. {part.value.action}"
-        console.print(said, style="yellow", highlight=False)
+    for text in worn:
+        console.print(text, style="yellow", highlight=False)
     console.print(_margin_table(found, f"{swings} swings: largest residuals, % of their limits"))
-    for one in found:
-        if one.near:
-            changed = (
-                f"{part.value.part}, {part.value.name}"
-                for part in parts
-                if part.value.part.startswith(one.joint) and abs(part.latest) >= _CLEAR * part.value.most
-            )
-            where = next(changed, _PARTS[one.kind].format(joint=one.joint))
-            console.print(
-                f"{one.joint} {one.kind} is near its limit: {where}. "
-                "Look at it; if nothing is broken, measure the robot again with golfbench commission.",
-                style="yellow",
-                highlight=False,
-            )
+    for text in near:
+        console.print(text, style="yellow", highlight=False)
 
 
 def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:

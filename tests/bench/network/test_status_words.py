@@ -4,9 +4,10 @@ from typing import Any, cast
 
 import pytest
 
-from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus
-from bench.network.status_words import absent_monitor_text, launch_monitor_text
+from bench.network.bench_service import BenchStatus, LaunchMonitorStatus, MonitorStatus
+from bench.network.status_words import absent_monitor_text, launch_monitor_text, warning_texts
 from bench.supervisor.status import NO_LAUNCH_MONITOR
+from tests.bench.fake_bench_service import FakeDesk
 
 
 def link(**changes: Any) -> LaunchMonitorStatus:
@@ -30,3 +31,10 @@ def test_launch_monitor_text_connection_per_shot_shows_last_seen(seen: float | N
     status = link(presence="per_shot", seen_s=seen)
     assert launch_monitor_text(status) == f"connects per shot, {text}"
     assert absent_monitor_text(status).endswith(text)
+
+
+def test_warning_texts_wear_finding_has_date_and_action() -> None:
+    text = "wrist valve, dead band: worn. Clean it."
+    finding = {"part": "wrist valve", "text": text, "time_utc": "2026-01-02T03:04:05+00:00"}
+    status = cast(BenchStatus, {**FakeDesk().status(), "wear": [finding]})
+    assert f"wear seen 2026-01-02, {text}" in warning_texts(status)

@@ -14,6 +14,7 @@ from bench.control.estimate.residual_monitor import KINDS
 from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.simulation.replay import NEAR, margins, residual_shares
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
+from bench.supervisor.status import read_wear, wear_file
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
@@ -75,13 +76,18 @@ def test_wear_command_worn_valve_names_joint_before_swing_stops(
         assert powered.arm()
         swing = powered.swing(c.plant.ball)
         assert not swing.cause
-        metadata = swing.replay_metadata() | {"time_utc": f"2026-01-0{number + 1}T00:00:00"}
+        metadata = swing.replay_metadata() | {"time_utc": f"2026-01-0{number + 1}T00:00:00", "bench": "b1"}
         record = tmp_path / f"{number}.parquet"
         write_swing(record, swing.cycles, bench.metadata(metadata))
         latest.append(residual_shares(*read_swing(record), str(record)).max())
     assert latest[0] < 0.8
     assert NEAR <= latest[1] < 1.0
+    file = tmp_path / "golfbench.toml"
+    file.write_text(f'base = "shipped"\nbench = {{ id = "b1", data_dir = "{tmp_path}" }}\n')
     with pytest.raises(SystemExit) as ended:
-        main(["wear", str(tmp_path / "1.parquet")])
+        main(["--config", str(file), "wear", str(tmp_path / "1.parquet")])
     assert ended.value.code == 1
     assert "wrist flow is near its limit" in " ".join(capsys.readouterr().out.split())
+    (finding,) = (one for one in read_wear(wear_file(tmp_path, "b1")) if one["part"] == "wrist flow")
+    assert finding["text"].startswith("wrist flow is near its limit: ")
+    assert finding["time_utc"] == "2026-01-02T00:00:00"

@@ -14,6 +14,7 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Phase, Refusal, Request, State
+from bench.network.bench_service import WearFinding
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.status import (
     RunMarker,
@@ -24,6 +25,8 @@ from bench.supervisor.status import (
     stall_note,
     supervisor_note,
     watchdog_interval,
+    wear_file,
+    write_wear,
 )
 
 # Stalls ----------------------------------------------------------------------------------------------
@@ -252,6 +255,34 @@ def test_run_marker_unusable_state_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file")
     with pytest.raises(BenchError, match="state"):
         RunMarker(tmp_path, "b1")
+
+
+def worn(folder: Path) -> tuple[list[WearFinding], str]:
+    """Return findings and fault that a bench reads."""
+    marker = RunMarker(folder, "b1")
+    marker.look_for_wear()
+    marker.end(clean=False)
+    return marker.wear, marker.wear_fault
+
+
+def test_run_marker_reads_findings_of_wear(tmp_path: Path) -> None:
+    assert worn(tmp_path) == ([], "")
+    finding = WearFinding(part="wrist valve", text="wrist valve: worn. Clean it.", time_utc="2026-01-02")
+    write_wear(wear_file(tmp_path, "b1"), [finding])
+    assert worn(tmp_path) == ([finding], "")
+    write_wear(wear_file(tmp_path, "b1"), [])
+    assert worn(tmp_path) == ([], "")
+
+
+@pytest.mark.parametrize(
+    "garbage", ["", "[]", "[" * 100_000, '{"version": 2}', '{"version": 1, "findings": [{"part": "x"}]}', "ÿ"]
+)
+def test_run_marker_invalid_wear_file_is_named(tmp_path: Path, garbage: str) -> None:
+    wear_file(tmp_path, "b1").parent.mkdir()
+    wear_file(tmp_path, "b1").write_text(garbage, encoding="latin-1")
+    findings, fault = worn(tmp_path)
+    assert not findings
+    assert str(wear_file(tmp_path, "b1")) in fault
 
 
 # systemd ---------------------------------------------------------------------------------------------

@@ -204,6 +204,7 @@ def poisoned(content: Any, key: str = "") -> Any:
 
 def state() -> dict[str, Any]:
     status = FakeDesk().status() | {"drift": ["d"], "air_faults": ["a"]}
+    status["wear"] = [{"part": "p", "text": "w", "time_utc": "2026"}]
     view: dict[str, Any] = poisoned(
         state_view(status) | {"lease": {"holder": "h", "seconds_left": 9.0}, "seen": 1.0}
     )
