@@ -10,8 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from enum import StrEnum
-from math import isfinite
-from typing import Any, NamedTuple, NoReturn, NotRequired, TypedDict
+from typing import Any, NamedTuple, NotRequired, TypedDict
 
 from bench.base.errors import BenchError
 from bench.base.json_schema import json_object, misfits, shown
@@ -219,15 +218,6 @@ def _read_object(location: str, payload: bytes) -> dict[str, Any]:
     if len(payload) > MAX_COMMAND_BYTES:
         raise too_long(location, len(payload))
 
-    def no_number(text: str) -> NoReturn:
-        raise BenchError(
-            location, f"the number {text[:20]}", "numbers that JSON has and a double holds", action
-        )
-
-    def finite(text: str) -> float:
-        number = float(text)
-        return number if isfinite(number) else no_number(text)
-
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         read: dict[str, Any] = {}
         for name, value in pairs:
@@ -239,9 +229,7 @@ def _read_object(location: str, payload: bytes) -> dict[str, Any]:
         return read
 
     try:
-        message = json.loads(
-            payload.decode("utf-8"), object_pairs_hook=unique, parse_constant=no_number, parse_float=finite
-        )
+        message = json.loads(payload.decode("utf-8"), object_pairs_hook=unique)
     except UnicodeDecodeError as error:
         raise BenchError(location, f"a byte at {error.start} that is no UTF-8", expected, action) from None
     except json.JSONDecodeError as error:
