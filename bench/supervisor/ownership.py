@@ -111,21 +111,13 @@ class Ownership:
         os.close(self.descriptor)
         self.descriptor = -1
         with suppress(OSError):  # gone already
-            folder = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            descriptor = os.open(self.folder / OWNER, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
             try:
-                self._remove(folder)
+                if try_lock(descriptor):
+                    _clear(self.folder, but="")
+                    self.folder.rmdir()
             finally:
-                os.close(folder)
-
-    def _remove(self, folder: int) -> None:
-        """Empty and remove `folder` if its lock is free."""
-        descriptor = os.open(OWNER, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=folder)
-        try:
-            if try_lock(descriptor):
-                _clear(folder, but="")
-                self.folder.rmdir()
-        finally:
-            os.close(descriptor)
+                os.close(descriptor)
 
     def __enter__(self) -> Self:
         return self
@@ -202,35 +194,31 @@ def _try_to_take(bench_id: str, path: Path) -> Ownership | Owner | None:
     """
     with suppress(FileExistsError):
         path.mkdir(mode=0o700)
-    folder = _open_folder(path)
-    descriptor = -1
+    _require_private(path)
+    descriptor = os.open(path / OWNER, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     try:
-        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-        descriptor = os.open(OWNER, flags, 0o600, dir_fd=folder)
         if not try_lock(descriptor):
             return _read(descriptor)
         if not os.path.samestat(os.fstat(descriptor), os.stat(path / OWNER, follow_symlinks=False)):
             raise FileNotFoundError  # locked, but just removed by the last owner
-        _clear(folder, but=OWNER)
+        _clear(path, but=OWNER)
         pid = os.getpid()
         ownership = Ownership(Owner(bench_id, Process(pid, _start_of(pid) or 0)), path, descriptor)
         _write(descriptor, ownership.owner)
         descriptor = -1  # now the ownership's
         return ownership
     finally:
-        os.close(folder)
         if descriptor >= 0:
             os.close(descriptor)
 
 
-def _open_folder(path: Path) -> int:
-    """Return a descriptor of the folder `path`; Refused unless it belongs to this user alone.
+def _require_private(path: Path) -> None:
+    """Refuse the folder `path` unless it belongs to this user alone.
 
     Any user may create files in /dev/shm: with a prepared folder another user could read and control the
-    bench.
+    bench. A folder of this user cannot be replaced by another: /dev/shm is sticky.
     """
     status = path.lstat()
-    unsafe = ""
     if stat.S_ISLNK(status.st_mode):
         unsafe = "a symbolic link"
     elif not stat.S_ISDIR(status.st_mode):
@@ -239,12 +227,8 @@ def _open_folder(path: Path) -> int:
         unsafe = f"a folder of user {_user(status.st_uid)}"
     elif status.st_mode & 0o077:
         unsafe = f"a folder open to others (mode {stat.S_IMODE(status.st_mode):04o})"
-    if not unsafe:
-        folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-        if os.path.samestat(os.fstat(folder), status):
-            return folder
-        os.close(folder)
-        unsafe = "a folder that was just replaced"
+    else:
+        return
     raise Refused(
         str(path),
         unsafe,
@@ -289,13 +273,13 @@ def _read(descriptor: int) -> Owner | None:
         return None
 
 
-def _clear(folder: int, but: str) -> None:
-    """Remove the files in the open `folder`, `owner` last, all but the one named."""
+def _clear(folder: Path, but: str) -> None:
+    """Remove the files in `folder`, `owner` last, all but the one named."""
     for name in sorted(set(os.listdir(folder)) - {but}, key=OWNER.__eq__):
         try:
-            os.unlink(name, dir_fd=folder)
+            os.unlink(folder / name)
         except IsADirectoryError:
-            shutil.rmtree(name, dir_fd=folder)
+            shutil.rmtree(folder / name)
 
 
 def _start_of(pid: int) -> int | None:
