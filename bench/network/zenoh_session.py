@@ -181,12 +181,8 @@ def _first_line(error: Exception) -> str:
     return str(error).partition(" at /")[0].strip()
 
 
-_ALL = "golfbench/**"
 _COMMANDS = "golfbench/*/command/**"
 _CAMPAIGNS = "golfbench/*/campaign/**"
-_STATUS = "golfbench/*/command/status"
-_SCHEMA = "golfbench/*/schema"
-_STOPS = ("golfbench/*/command/stop", "golfbench/*/command/estop")
 _READS = ("reads", "hears", "campaign", "campaign answered", "campaign offered", "schema", "schema answered")
 """Rules of every role."""
 _MESSAGES = (
@@ -208,14 +204,21 @@ def access_control(viewers: Collection[str], operators: Collection[str]) -> dict
     A bench takes a router it connects to for an operator; the router's own is in
     bench/configurations/router.json5.
     """
-    reads = _allow("reads", "ingress", "declare_subscriber", _ALL), _allow("hears", "egress", "put", _ALL)
+    asked = {
+        "status": ("golfbench/*/command/status",),
+        "command": (_COMMANDS,),
+        "stop": ("golfbench/*/command/stop", "golfbench/*/command/estop"),
+        "campaign": (_CAMPAIGNS,),
+        "schema": ("golfbench/*/schema",),
+    }
     rules = [
-        *reads,
-        *_asks("status", _STATUS),
-        *_asks("command", _COMMANDS),
-        *_asks("stop", *_STOPS),
-        *_asks("campaign", _CAMPAIGNS),
-        *_asks("schema", _SCHEMA),
+        _allow("reads", "ingress", "declare_subscriber", "golfbench/**"),
+        _allow("hears", "egress", "put", "golfbench/**"),
+    ]
+    for name, keys in asked.items():
+        rules.append(_allow(name, "ingress", "query", *keys))
+        rules.append(_allow(f"{name} answered", "egress", "reply", *keys))
+    rules += [
         _allow("campaign told", "ingress", ("put", "declare_queryable", "reply"), _CAMPAIGNS),
         _allow("campaign offered", "egress", ("query", "declare_queryable"), _CAMPAIGNS),
         # A client asks even if no one answers; a router passes on the commands that it knows of.
@@ -239,11 +242,6 @@ def access_control(viewers: Collection[str], operators: Collection[str]) -> dict
         "subjects": [subject for subject, _ in policies],
         "policies": [policy for _, policy in policies],
     }
-
-
-def _asks(name: str, *keys: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the access rules for sending queries and for receiving the replies."""
-    return _allow(name, "ingress", "query", *keys), _allow(f"{name} answered", "egress", "reply", *keys)
 
 
 def _allow(name: str, flow: str, messages: str | tuple[str, ...], *keys: str) -> dict[str, Any]:
