@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from threading import Condition, Lock, Thread
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import zenoh
 
@@ -222,10 +222,7 @@ class CommandPlane:
     def counts(self) -> CountStatus:
         """Return the counts of messages by outcome."""
         with self._count_lock:
-            c = self._counts
-            return CountStatus(
-                commands=c["commands"], refused=c["refused"], malformed=c["malformed"], dropped=c["dropped"]
-            )
+            return cast(CountStatus, {kind: self._counts[kind] for kind in CountStatus.__annotations__})
 
     def publish_state(self, status: BenchStatus) -> bool:
         """Publish `status` if it has changed or a heartbeat is due; return whether it was."""
@@ -240,7 +237,7 @@ class CommandPlane:
             self._state.put(json.dumps(status, allow_nan=False))
         return True
 
-    def publish_event(self, event: str, content: Mapping[str, Any]) -> None:
+    def publish_event(self, event: str, **content: Any) -> None:
         """Publish that `event` happened, with `content` after its name and time (s, the plane's clock)."""
         message = {"version": VERSION, "event": event, "time": self._clock(), **content}
         with suppress(zenoh.ZError):

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -250,6 +250,11 @@ class Parent:
         """Whether the supervisor died."""
         return os.getppid() != self.pid
 
+    @property
+    def wants_end(self) -> bool:
+        """Whether this process shall end."""
+        return self.stop_requested or self.gone
+
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.stop_requested = True
 
@@ -411,35 +416,19 @@ class Child:
                 if event["event"] == "ready":
                     return event
                 if event["event"] == "failed":
-                    raise self._failure(event)
+                    error = NotStarted(*(event[part] for part in ("location", "found", "expected", "action")))
+                    error.exit_code = ExitCode(event["exit_code"])
+                    raise error
                 if event["event"] == "compiling":
-                    report_compilation(str(event.get("text", "")))
+                    report_compilation(event["text"])
                     deadline = time.monotonic() + timeout
             if ended:
-                raise NotStarted(
-                    f"{self.name} process",
-                    self.ending,
-                    "a ready process",
-                    "See the output of the process above.",
-                )
+                action = "See the output of the process above."
+                raise NotStarted(f"{self.name} process", self.ending, "a ready process", action)
             select.select([stdout] if stdout else [], [], [], 0.1)
-        raise NotStarted(
-            f"{self.name} process",
-            f"not ready after {timeout:g} s",
-            "a ready process",
-            "Check the load of the machine with `golfbench doctor`, then start again.",
-        )
-
-    def _failure(self, event: dict[str, Any]) -> NotStarted:
-        error = NotStarted(
-            str(event.get("location", f"{self.name} process")),
-            str(event.get("found", event.get("reason", event.get("text", "it failed")))),
-            str(event.get("expected", "it to become ready")),
-            str(event.get("action", "See its output above.")),
-        )
-        with suppress(ValueError):
-            error.exit_code = ExitCode(event.get("exit_code", ExitCode.DEVICE))
-        return error
+        found = f"not ready after {timeout:g} s"
+        action = "Check the load of the machine with `golfbench doctor`, then start again."
+        raise NotStarted(f"{self.name} process", found, "a ready process", action)
 
     def end(self, timeout: float) -> None:
         """Terminate it, wait up to `timeout` (s), then kill it; allowed when it has ended."""
@@ -470,14 +459,6 @@ _TIMEOUT = 12.0
 """Time a process may take to end and store its data, s."""
 
 
-class LastHeartbeat(NamedTuple):
-    """Last heartbeat of a process and its time (s, supervisor clock)."""
-
-    condition: Condition
-    beats: int
-    time: float
-
-
 class ManagedProcess:
     """One support process."""
 
@@ -496,7 +477,8 @@ class ManagedProcess:
         self.name, self._start, self._listener = name, start, listener
         self._shared = SharedRecord.create(heartbeat_file(folder, name), HEARTBEAT)
         self._beat = np.zeros(1, HEARTBEAT)
-        self._heartbeat = LastHeartbeat(Condition.STARTING, -1, -np.inf)
+        self._condition, self._beats, self._heard = Condition.STARTING, -1, -np.inf
+        """Condition and number of the last heartbeat, and its time on the supervisor's clock (s)."""
         self.child: Child | None = None
         self._died = -np.inf
         self._ending = False
@@ -511,7 +493,7 @@ class ManagedProcess:
     @property
     def starting(self) -> bool:
         """Whether it has not worked yet."""
-        return self._heartbeat.condition is Condition.STARTING
+        return self._condition is Condition.STARTING
 
     def turn(self, now: float) -> None:
         """Check it at `now` (s); start it if it does not run."""
@@ -525,16 +507,14 @@ class ManagedProcess:
             self.note = "dead, restarting"
             if now - self._died < _PAUSE:
                 return
-            self.child, self._heartbeat = self._start(), LastHeartbeat(Condition.STARTING, -1, now)
+            self.child, self._condition, self._beats = self._start(), Condition.STARTING, -1
         self._shared.read(self._beat)
-        count, condition = int(self._beat["count"][0]), Condition(int(self._beat["condition"][0]))
-        if self._heartbeat.beats == -1:
-            # the first value is from the previous process
-            self._heartbeat = LastHeartbeat(Condition.STARTING, count, now)
-        elif count != self._heartbeat.beats:
-            self._heartbeat = LastHeartbeat(condition, count, now)
+        if (count := int(self._beat["count"][0])) != self._beats:
+            if self._beats != -1:  # the first value is from the previous process
+                self._condition = Condition(int(self._beat["condition"][0]))
+            self._beats, self._heard = count, now
         self.note = self._fault(now)
-        if self._heartbeat.condition is not Condition.STARTING and now - self._heartbeat.time > _FROZEN:
+        if not self.starting and now - self._heard > _FROZEN:
             self.child.kill()  # restarted in the next turns
         for event in self.child.take_events():
             if event["event"] in {"fault", "dropped", "failed", "recovered"}:
@@ -543,12 +523,9 @@ class ManagedProcess:
                 self._listener(event)
 
     def _fault(self, now: float) -> str:
-        condition, silent = self._heartbeat.condition, now - self._heartbeat.time
-        if self.starting:
-            return "starting"
-        if silent > _SILENCE:
+        if not self.starting and (silent := now - self._heard) > _SILENCE:
             return f"silent for {silent:.1f} s"
-        return "" if condition is Condition.WORKING else condition.name.lower()
+        return "" if self._condition is Condition.WORKING else self._condition.name.lower()
 
     def stop_restarting(self) -> None:
         """Do not restart it from now on: the bench is shutting down."""

@@ -135,7 +135,6 @@ class Daemon:
         self._shots = ShotJoin()
         self._drift: list[str] = []
         """Warnings of the latest swing's record."""
-        self._plane: CommandPlane | None = None
         self._real_time: dict[str, Any] = {}
         self._device = DeviceStatus(fault="", counters={})
         self._swings = 0
@@ -316,8 +315,9 @@ class Daemon:
         self._link.connect()
         self._timing = TimingReader(folder / TIMING_FILE)
         self._before_timing = self._timing.snapshot()
-        self._summed_up = self._advanced = self._turned = time.monotonic()
-        self._statistics = self._statistics_of(self._before_timing, np.inf)
+        self._advanced = self._turned = time.monotonic()
+        self._summed_up = -np.inf
+        self._sum_up(self._turned)
         self._turn_gap = 0.0
         self._reopening_until = -np.inf
         self._before = State.STARTING, Phase.STANDING, Reaction.NONE, Cause.NONE
@@ -408,42 +408,34 @@ class Daemon:
         self._tell_lease()
         self._watch_loop(now)
         if now - self._summed_up >= _STATISTICS:
+            self._marker.look_for_wear()
             self._sum_up(now)
-        if self._plane is not None:
-            for message in self._shots.take(now):
-                self._plane.publish_shot(message)
-            self._plane.publish_state(self.status())
+        for message in self._shots.take(now):
+            self._plane.publish_shot(message)
+        self._plane.publish_state(self.status())
 
     def _grant(self) -> None:
         """Send heartbeat and permissions to the loop."""
-        if self._plane is not None:
-            lease = self._plane.lease()
-            number = 0 if lease is None else lease.number
-            self._link.beat(lease=number, support_ready=self._support_ready)
+        lease = self._plane.lease()
+        self._link.beat(lease=0 if lease is None else lease.number, support_ready=self._support_ready)
 
     def _tell_lease(self) -> None:
         """Publish that the lease lapses soon, or that it has ended."""
-        if self._plane is None:
-            return
         before, self._lease = self._lease, self._plane.lease_status()
         if before is not None and self._lease is None:
-            self._publish("lease ended", holder=before["holder"])
+            self._plane.publish_event("lease ended", holder=before["holder"])
         elif self._lease is not None and self._lease["lapsing"] and not (before and before["lapsing"]):
             _log.warning("the lease of %s lapses soon", self._lease["holder"])
             left = self._lease["seconds_left"]
-            self._publish("lease lapses", holder=self._lease["holder"], seconds_left=left)
+            self._plane.publish_event("lease lapses", holder=self._lease["holder"], seconds_left=left)
 
     def _sum_up(self, now: float) -> None:
-        self._marker.look_for_wear()
+        """Take the loop statistics since the last call."""
         after = self._timing.snapshot()
-        self._statistics = self._statistics_of(after, now - self._summed_up)
+        timing, seconds = summary(after, self._before_timing), now - self._summed_up
         self._before_timing, self._summed_up = after, now
-
-    def _statistics_of(self, after: np.ndarray[Any, Any], seconds: float) -> LoopStatus:
-        """Return the loop statistics of the `seconds` up to the snapshot `after`."""
-        timing = summary(after, self._before_timing)
         wake, tick = timing["segments"]["wake_up"], timing["segments"]["tick"]
-        return LoopStatus(
+        self._statistics = LoopStatus(
             rate_hz=timing["ticks"] / seconds,
             skipped=int(after["skipped"][0]),
             late=int(after["late"][0]),
@@ -468,8 +460,8 @@ class Daemon:
         loop = self.children["loop"]
         for event in loop.take_events():
             if event["event"] == "exception":
-                _log.error("the loop: %s", event.get("text"))
-                self._publish("exception", text=str(event.get("text")))
+                _log.error("the loop: %s", event["text"])
+                self._plane.publish_event("exception", text=event["text"])
             elif event["event"] == "device":
                 self._device = DeviceStatus(fault=event["fault"], counters=event["counters"])
                 self._link.fault = event["fault"]
@@ -492,7 +484,7 @@ class Daemon:
         state, phase, _, _ = self._before
         text = f"the loop {how} in state {state.name}, phase {phase.name}"
         self._marker.note_stop(self._stop_entry("RESTART", text, state, phase), fatal=True)
-        self._publish("loop died", text=text)
+        self._plane.publish_event("loop died", text=text)
         return LoopDied(
             f"bench {self.configuration.bench.id}: loop",
             f"it {how}; state {state.name}, phase {phase.name}",
@@ -533,7 +525,7 @@ class Daemon:
                 self._disarmed = found
                 _log.warning("%s: %s", found.name, CAUSE_TEXT[found])
             self._marker.note_state(state.name, phase.name)
-            self._publish(
+            self._plane.publish_event(
                 "change",
                 state=state.name,
                 phase=phase.name,
@@ -562,8 +554,6 @@ class Daemon:
         self._drift = event["warnings"]
         for text in self._drift:
             _log.warning("swing %s: %s", event["number"], text)
-        if self._plane is None:
-            return
         known = ("number", "tick", "lost_records", "complete", "replayable", "cause")
         facts = {name: event[name] for name in known} | {"record": os.path.abspath(event["path"])}
         if (shot := event["shot_id"]) is not None:
@@ -576,10 +566,6 @@ class Daemon:
             self._monitored = event["link"]
         elif event["event"] == "shot":
             self._shots.note_outcome(event["message"], time.monotonic())
-
-    def _publish(self, event: str, **content: Any) -> None:
-        if self._plane is not None:
-            self._plane.publish_event(event, content)
 
     def _bring_to_end(self) -> None:
         """Let the loop bring the robot to rest, then stop the other processes in the order of the data flow.

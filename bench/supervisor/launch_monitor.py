@@ -255,7 +255,7 @@ def main() -> int:
     """Run until stopped by the supervisor or orphaned."""
     parent, service = begin_service(LaunchMonitorService)
     try:
-        while not (parent.stop_requested or parent.gone):
+        while not parent.wants_end:
             service.turn(time.monotonic(), datetime.now(UTC))
             time.sleep(POLL)
     finally:

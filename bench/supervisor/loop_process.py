@@ -446,7 +446,7 @@ def main() -> int:
     try:
         process = LoopProcess(plan, parent)
         process.compile()
-        if progress.compiled and not again and not parent.gone and not parent.stop_requested:
+        if progress.compiled and not again and not parent.wants_end:
             _start_again(parent)
         reason = process.run()
     except (BenchError, SharedMemoryError, DriverError) as error:

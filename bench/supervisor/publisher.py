@@ -145,11 +145,11 @@ class Publisher:
 def main() -> int:
     """Publish until stopped by the supervisor or orphaned."""
     parent, publisher = begin_service(lambda plan: Publisher(plan, time.monotonic()))
-    while not (ending := parent.stop_requested or parent.gone):
+    while not parent.wants_end:
         began = time.monotonic()
         publisher.turn(began, time.time())
         time.sleep(max(0.001, PERIOD - (time.monotonic() - began)))
-    publisher.turn(time.monotonic(), time.time(), ending=ending)
+    publisher.turn(time.monotonic(), time.time(), ending=True)
     # A daemon that takes nothing any more may hold the session's end up: the kernel ends it then.
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, _CLOSE_TIMEOUT)

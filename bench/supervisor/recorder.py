@@ -318,7 +318,7 @@ def main() -> int:
     parent, recorder = begin_service(lambda plan: Recorder(plan, time.monotonic()))
     last = None
     while True:
-        now, ending = time.monotonic(), parent.stop_requested or parent.gone
+        now, ending = time.monotonic(), parent.wants_end
         if recorder.turn(now, time.time(), ending=ending):
             continue
         if ending:

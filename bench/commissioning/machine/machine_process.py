@@ -90,7 +90,7 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
 
         def ends() -> bool:
             """Whether the process shall end."""
-            return parent.gone or parent.stop_requested
+            return parent.wants_end
 
         server = MachineServer(
             driver,

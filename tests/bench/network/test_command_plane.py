@@ -447,7 +447,7 @@ def test_publish_event_carries_name_time_and_content(bench: RunningPlane, asker:
         "golfbench/bench1/event", lambda sample: heard.append(json.loads(sample.payload.to_bytes()))
     )
     wait_until(lambda: bench.plane._event.matching_status.matching)  # type: ignore[attr-defined]
-    bench.plane.publish_event("process ended", {"process": "recorder"})
+    bench.plane.publish_event("process ended", process="recorder")
     wait_until(lambda: bool(heard))
     assert heard[0] == {"version": 1, "event": "process ended", "time": 1000.0, "process": "recorder"}
     subscriber.undeclare()

@@ -129,8 +129,8 @@ def test_wire_contract_published_states_and_events_match_schema(
     while len(seen) < 4 and time.monotonic() < deadline:
         # Again and again: the bench does not know at once of who listens.
         bench.plane.publish_state(bench.service.status())
-        bench.plane.publish_event("loop died", {"text": "the loop froze"})
-        bench.plane.publish_event("change", {**names, "tick": 7, "loop_time": 0.007})
+        bench.plane.publish_event("loop died", text="the loop froze")
+        bench.plane.publish_event("change", **names, tick=7, loop_time=0.007)
         bench.plane.publish_shot(shot_publication(record="/a"))
         while (sample := subscriber.try_recv()) is not None:
             name, content = str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes()

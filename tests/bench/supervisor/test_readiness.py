@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -341,6 +342,7 @@ def start(configuration: Configuration) -> Callable[[], tuple[Daemon, AcceptingL
     def make() -> tuple[Daemon, AcceptingLink]:
         daemon, link = Daemon(configuration, now=lambda: NOW), AcceptingLink()
         daemon._link = link  # type: ignore[assignment]
+        daemon._plane = SimpleNamespace(lease=lambda: None)  # type: ignore[assignment]
         return daemon, link
 
     return make
