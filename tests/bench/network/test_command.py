@@ -215,15 +215,6 @@ def test_parse_command_any_json_returns_command_or_bench_error(verb: str, messag
     parsed(verb, json.dumps(message).encode())
 
 
-@given(st.sampled_from(sorted(Verb)), OBJECTS)
-def test_parse_command_accepted_message_matches_form(verb: str, message: dict[str, Any]) -> None:
-    command = parsed(verb, json.dumps(message).encode())
-    if not isinstance(command, BenchError):
-        form = f"{verb} {message['action']}" if verb == "lease" else verb
-        needed, allowed = FORMS[form]
-        assert set(needed) <= message.keys() <= {*needed, *allowed}
-
-
 @settings(max_examples=30)
 @given(
     st.builds(

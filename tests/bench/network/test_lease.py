@@ -23,22 +23,6 @@ DURATIONS = st.floats(MIN_SECONDS, MAX_SECONDS)
 NAMES = st.sampled_from(["Ann", "Bob", "Dr. Ó Súilleabháin", "x" * MAX_HOLDER_LENGTH])
 
 
-def test_lease_book_second_holder_refusal_omits_key() -> None:
-    book = LeaseBook()
-    lease = book.take("Ann", 30.0, now=100.0)
-    with pytest.raises(LeaseRefused, match="Ann holds the bench for 12 s more") as refused:
-        book.take("Bob", 30.0, now=118.0)
-    assert lease.key not in str(refused.value)
-    assert lease.key not in repr(lease)
-
-
-def test_lease_book_same_holder_without_key_is_refused() -> None:
-    book = LeaseBook()
-    book.take("Ann", 30.0, now=0.0)
-    with pytest.raises(LeaseRefused, match="Ann holds"):
-        book.take("Ann", 30.0, now=1.0)
-
-
 def test_lease_book_lease_numbers_are_unique() -> None:
     """However soon one follows the other, also of one holder."""
     book = LeaseBook()
@@ -50,32 +34,6 @@ def test_lease_book_lease_numbers_are_unique() -> None:
         book.release(lease.key, 2, now=0.0)
     numbers.append(book.take("Bob", 5.0, now=0.0).number)
     assert numbers == [1, 2, 3, 4]
-
-
-def test_lease_book_lease_ends_at_expiry() -> None:
-    book = LeaseBook()
-    lease = book.take("Ann", 30.0, now=0.0)
-    assert book.held(29.999) == lease
-    assert book.held(30.0) is None
-    with pytest.raises(LeaseRefused, match="no valid lease"):
-        book.use(lease.key, 1, now=30.0)
-    assert book.take("Bob", 5.0, now=30.0).holder == "Bob"
-
-
-@pytest.mark.parametrize("sequence", [-1, 0, 1, 6, 7])
-def test_lease_book_repeated_or_older_sequence_is_refused(sequence: int) -> None:
-    book = LeaseBook()
-    key = book.take("Ann", 30.0, now=0.0).key
-    book.use(key, 7, now=1.0)
-    with pytest.raises(LeaseRefused, match=f"sequence {sequence} after 7"):
-        book.use(key, sequence, now=1.0)
-    assert book.use(key, 8, now=1.0).sequence == 8
-
-
-def test_lease_book_new_instance_refuses_old_key() -> None:
-    key = LeaseBook().take("Ann", 30.0, now=0.0).key
-    with pytest.raises(LeaseRefused, match="take it"):
-        LeaseBook().use(key, 1, now=0.0)
 
 
 @pytest.mark.parametrize(
@@ -116,6 +74,10 @@ class OneHolderAtATime(RuleBasedStateMachine):
     def wait(self, seconds: float) -> None:
         self.now += seconds
 
+    @rule()
+    def wait_until_end(self) -> None:
+        self.now = max(self.now, self.end)
+
     @rule(holder=NAMES, seconds=DURATIONS)
     def take(self, holder: str, seconds: float) -> None:
         if self.held():
@@ -126,6 +88,7 @@ class OneHolderAtATime(RuleBasedStateMachine):
             return
         lease = self.book.take(holder, seconds, self.now)
         assert lease.key not in self.keys
+        assert lease.key not in repr(lease)
         self.keys.append(lease.key)
         self.key, self.holder, self.end, self.sequence = lease.key, holder, self.now + seconds, 0
 

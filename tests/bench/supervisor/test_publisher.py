@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import pickle
-import select
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -25,19 +21,20 @@ from bench.base.lifecycle import State
 from bench.config import NetworkSettings
 from bench.network.zenoh_session import open_client, open_daemon
 from bench.records.telemetry.batches import Batch, decode_batch
-from bench.records.telemetry.ring import RingWriter
-from bench.supervisor.child_process import HEARTBEAT, Condition, PublisherPlan, heartbeat_file
+from bench.supervisor.child_process import Condition, PublisherPlan
 from bench.supervisor.publisher import Publisher
-from bench.supervisor.tick_timing import TickTiming, create_timing
-from drivers.base.shared_memory import SharedRecord
+from tests.bench.supervisor.service_bench import (
+    HURRY,
+    Cycles,
+    ServiceBench,
+    ServiceProcess,
+    run_below,
+    wait_for,
+)
 
 pytestmark = pytest.mark.live
 
-Cycles = np.ndarray[Any, Any]
 MakeDay = Callable[..., Cycles]
-HURRY = 15.0
-"""s that anything may take on a busy machine."""
-
 DAEMON = """
 import sys, time
 from bench.config import NetworkSettings
@@ -57,16 +54,13 @@ with open_client(NetworkSettings(sys.argv[1]), "b1") as session:
 """
 
 
-class Bench:
-    """A loop that writes given cycles, and the publisher."""
+class Bench(ServiceBench):
+    """The daemon, a loop that writes given cycles, and the publisher."""
 
-    def __init__(self, folder: Path, capacity: int = 16384) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, capacity: int) -> None:
+        super().__init__(folder, "publisher", capacity)
         self.network = NetworkSettings(f"tcp/127.0.0.1:{free_port()}")
-        self.writer = RingWriter(folder / "ring", capacity)
-        self.timing: TickTiming = create_timing(folder / "timing", 1_000_000)
-        self.heart = SharedRecord.create(heartbeat_file(folder, "publisher"), HEARTBEAT)
-        self.processes: list[subprocess.Popen[bytes]] = []
+        self.plan = PublisherPlan("b1", self.network, folder)
         self.sessions: list[zenoh.Session] = []
 
     def listen(self) -> zenoh.Session:
@@ -81,84 +75,28 @@ class Bench:
             f"golfbench/b1/{name}", zenoh.handlers.FifoChannel(100_000)
         )
 
-    def run(self, *arguments: str) -> subprocess.Popen[bytes]:
-        process = subprocess.Popen(
-            [sys.executable, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
-        )
-        self.processes.append(process)
-        return process
-
-    def run_program(self, program: str) -> subprocess.Popen[bytes]:
+    def run_program(self, program: str) -> ServiceProcess:
         """Run a program with the endpoint, and wait until it is there."""
         process = self.run("-c", program, self.network.endpoint)
-        assert read_line(process) == b"here"
+        assert process.line() == b"here"
         return process
 
-    def start_anyhow(self) -> subprocess.Popen[bytes]:
-        process = self.run("-m", "bench.supervisor.publisher")
-        send(process, self.plan)
-        return process
+    def start_anyhow(self) -> ServiceProcess:
+        return self.run("-m", "bench.supervisor.publisher", plan=self.plan)
 
-    @property
-    def plan(self) -> PublisherPlan:
-        return PublisherPlan("b1", self.network, self.folder)
-
-    def start(self) -> subprocess.Popen[bytes]:
+    def start(self) -> ServiceProcess:
         process = self.start_anyhow()
-        assert event(process)["event"] == "ready"
+        assert process.event()["event"] == "ready"
         return process
-
-    def write(self, cycles: Cycles, pace: float = 0.0) -> None:
-        """Write `cycles`, 20 at a time with `pace` (s) between."""
-        for i in range(len(cycles)):
-            self.writer(cycles[i : i + 1])
-            if pace and i % 20 == 19:
-                time.sleep(pace)
-
-    def heartbeat(self) -> Any:
-        record = np.zeros(1, HEARTBEAT)
-        self.heart.read(record)
-        return record[0]
 
     def wait_for_tick(self, tick: int) -> None:
         wait_for(lambda: self.heartbeat()["tick"] >= tick)
 
     def close(self) -> None:
-        for process in self.processes:
-            process.kill()
-            process.wait()
-            if process.stdout is not None:
-                process.stdout.close()
-            if process.stdin is not None:
-                process.stdin.close()
+        self.kill()
         for session in reversed(self.sessions):
             session.close()
-        for shared in (self.writer, self.timing, self.heart):
-            shared.close()
-
-
-def send(process: subprocess.Popen[bytes], plan: object) -> None:
-    assert process.stdin is not None
-    process.stdin.write(pickle.dumps(plan))
-    process.stdin.close()
-
-
-def read_line(process: subprocess.Popen[bytes]) -> bytes:
-    assert process.stdout is not None
-    assert select.select([process.stdout], [], [], HURRY)[0], "no output"
-    return process.stdout.readline().strip()
-
-
-def event(process: subprocess.Popen[bytes]) -> dict[str, Any]:
-    told: dict[str, Any] = json.loads(read_line(process))
-    return told
-
-
-def wait_for(reached: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + HURRY
-    while not reached():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+        super().close()
 
 
 def batches_up_to(subscriber: zenoh.Subscriber[Any], tick: int) -> list[Batch]:
@@ -179,8 +117,8 @@ def joined(batches: list[Batch]) -> bytes:
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(tmp_path)
+def bench(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Bench]:
+    made = Bench(tmp_path, getattr(request, "param", 16384))
     yield made
     made.close()
 
@@ -208,7 +146,7 @@ def test_publisher_sends_each_cycle_once_bit_exact(bench: Bench, day: MakeDay) -
         assert batch.time == pytest.approx(now + batch.cycles["time"][-1], abs=0.5)
     publisher.terminate()
     assert publisher.wait(HURRY) == 0
-    assert event(publisher) == {"event": "ended", "batches": len(batches), "lost": 0}
+    assert publisher.event() == {"event": "ended", "batches": len(batches), "lost": 0}
     assert bench.heartbeat()["condition"] == Condition.ENDING
     assert bench.heartbeat()["done"] == len(batches)
 
@@ -284,33 +222,30 @@ def test_publisher_stopped_subscriber_bounds_memory_and_counts_loss(bench: Bench
     stopped.send_signal(signal.SIGCONT)
 
 
-def test_publisher_ring_overrun_counts_lost_cycles(tmp_path: Path, day: MakeDay) -> None:
-    bench = Bench(tmp_path, capacity=256)
-    try:
-        bench.listen()
-        telemetry = bench.subscribe("telemetry")
-        publisher = bench.start()
-        time.sleep(0.3)
-        cycles = day(1100)
-        bench.write(cycles[:100])
-        bench.wait_for_tick(100)
-        publisher.send_signal(signal.SIGSTOP)
-        bench.write(cycles[100:1000])
-        publisher.send_signal(signal.SIGCONT)
-        bench.wait_for_tick(1000)
-        bench.write(cycles[1000:])
-        batches = batches_up_to(telemetry, 1100)
-        assert joined(batches) == cycles[:100].tobytes() + cycles[744:].tobytes()
-        assert batches[0].lost == 0
-        assert batches[-1].lost == 644 == bench.heartbeat()["lost"]
-    finally:
-        bench.close()
+@pytest.mark.parametrize("bench", [256], indirect=True)
+def test_publisher_ring_overrun_counts_lost_cycles(bench: Bench, day: MakeDay) -> None:
+    bench.listen()
+    telemetry = bench.subscribe("telemetry")
+    publisher = bench.start()
+    time.sleep(0.3)
+    cycles = day(1100)
+    bench.write(cycles[:100])
+    bench.wait_for_tick(100)
+    publisher.send_signal(signal.SIGSTOP)
+    bench.write(cycles[100:1000])
+    publisher.send_signal(signal.SIGCONT)
+    bench.wait_for_tick(1000)
+    bench.write(cycles[1000:])
+    batches = batches_up_to(telemetry, 1100)
+    assert joined(batches) == cycles[:100].tobytes() + cycles[744:].tobytes()
+    assert batches[0].lost == 0
+    assert batches[-1].lost == 644 == bench.heartbeat()["lost"]
 
 
+@pytest.mark.parametrize("bench", [256], indirect=True)
 def test_publisher_cycles_before_open_session_count_no_loss(
-    tmp_path: Path, day: MakeDay, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, day: MakeDay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(tmp_path, capacity=256)
 
     def slow(network: NetworkSettings, name: str) -> zenoh.Session:
         session = open_client(network, name)
@@ -318,36 +253,29 @@ def test_publisher_cycles_before_open_session_count_no_loss(
         return session
 
     monkeypatch.setattr("bench.supervisor.publisher.open_client", slow)
-    try:
-        bench.listen()
-        publisher = Publisher(bench.plan, time.monotonic())
-        publisher.turn(time.monotonic(), time.time())
-        assert publisher.lost == 0
-        publisher.close()
-    finally:
-        bench.close()
+    bench.listen()
+    publisher = Publisher(bench.plan, time.monotonic())
+    publisher.turn(time.monotonic(), time.time())
+    assert publisher.lost == 0
+    publisher.close()
 
 
-def test_publisher_delayed_cycles_keep_source_time(tmp_path: Path, make_day: MakeDay) -> None:
-    bench = Bench(tmp_path)
-    try:
-        bench.listen()
-        telemetry = bench.subscribe("telemetry")
-        publisher = Publisher(replace(bench.plan, wall=False), time.monotonic())
-        cycles = make_day([(State.READY, 600)])
-        bench.write(cycles)
-        while publisher.batches < 10:
-            publisher.turn(time.monotonic(), 1e9)
-        for batch in batches_up_to(telemetry, int(cycles["tick"][-1])):
-            assert batch.time == pytest.approx(1e9 - (cycles["time"][-1] - batch.cycles["time"][-1]))
-        publisher.close()
-    finally:
-        bench.close()
+def test_publisher_delayed_cycles_keep_source_time(bench: Bench, make_day: MakeDay) -> None:
+    bench.listen()
+    telemetry = bench.subscribe("telemetry")
+    publisher = Publisher(replace(bench.plan, wall=False), time.monotonic())
+    cycles = make_day([(State.READY, 600)])
+    bench.write(cycles)
+    while publisher.batches < 10:
+        publisher.turn(time.monotonic(), 1e9)
+    for batch in batches_up_to(telemetry, int(cycles["tick"][-1])):
+        assert batch.time == pytest.approx(1e9 - (cycles["time"][-1] - batch.cycles["time"][-1]))
+    publisher.close()
 
 
 def test_publisher_without_daemon_reports_failed_and_exits(bench: Bench) -> None:
     publisher = bench.start_anyhow()
-    told = event(publisher)
+    told = publisher.event()
     assert (told["event"], told["exit_code"]) == ("failed", 75)
     assert bench.network.endpoint in told["location"]
     assert publisher.wait(HURRY) == 75
@@ -357,10 +285,10 @@ def test_publisher_lost_connection_reports_fault_and_recovers(bench: Bench, day:
     bench.listen()
     publisher = bench.start()
     bench.sessions.pop().close()
-    assert event(publisher)["event"] == "fault"
+    assert publisher.event()["event"] == "fault"
     wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     bench.listen()
-    assert event(publisher) == {"event": "recovered"}
+    assert publisher.event() == {"event": "recovered"}
     telemetry = bench.subscribe("telemetry")
     time.sleep(0.3)
     bench.write(day(50))
@@ -385,11 +313,7 @@ def test_publisher_stalled_daemon_terminates_promptly(bench: Bench, day: MakeDay
 
 def test_publisher_supervisor_killed_ends(bench: Bench) -> None:
     bench.listen()
-    program = (
-        "import subprocess, sys\nc = subprocess.Popen([sys.executable, '-m', 'bench.supervisor.publisher'])"
-    )
-    supervisor = bench.run("-c", f"{program}\nc.wait()")
-    send(supervisor, bench.plan)
-    assert event(supervisor)["event"] == "ready"
+    supervisor = bench.run("-c", run_below("bench.supervisor.publisher"), plan=bench.plan)
+    assert supervisor.event()["event"] == "ready"
     supervisor.kill()
-    assert event(supervisor)["event"] == "ended"  # the pipe is the publisher's too
+    assert supervisor.event()["event"] == "ended"  # the pipe is the publisher's too

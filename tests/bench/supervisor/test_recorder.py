@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-import pickle
 import random
 import resource
 import shutil
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -20,17 +18,26 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause, State
-from bench.loop.snapshot import read_snapshot
+from bench.loop.snapshot import SNAPSHOT, read_snapshot
+from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.record_file import read_swing
 from bench.records.telemetry.swing_metadata import read_profile, since
-from bench.supervisor.child_process import HEARTBEAT, Condition
+from bench.supervisor.child_process import CORRECTED, HEARTBEAT, Condition, RecorderPlan, pack_correction
 from bench.supervisor.recorder import Recorder
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from tests.bench.recorded_bench import HURRY, RECORDER, Cycles
-from tests.bench.recorded_bench import RecordedBench as Bench
+from drivers.base.compiled import PLAIN
+from drivers.base.shared_memory import SharedRecord
+from tests.bench.supervisor.service_bench import (
+    HURRY,
+    Cycles,
+    ServiceBench,
+    ServiceProcess,
+    run_below,
+    wait_for,
+)
 
 pytestmark = pytest.mark.live
 
@@ -39,9 +46,93 @@ ONCE = [(S.READY, 300), (S.ARMED, 400), (S.SWINGING, 300), (S.RECOVERING, 200)]
 SWING = [*ONCE, (S.READY, 400)]
 
 
+RECORDER = "bench.supervisor.recorder"
+
+
+class Bench(ServiceBench):
+    """A loop that writes given cycles, and the recorder."""
+
+    def __init__(self, folder: Path, capacity: int) -> None:
+        super().__init__(folder, "recorder", capacity)
+        self.data = folder / "data"
+        self.snapshots = SharedRecord.create(folder / "snapshot", SNAPSHOT)
+        self.corrected = SharedRecord.create(folder / "corrected", CORRECTED)
+
+    def plan(self, **changes: Any) -> RecorderPlan:
+        profile = load_profile(find_profile("default"))
+        return RecorderPlan(
+            **{
+                "data_dir": self.data,
+                "folder": self.folder,
+                "snapshot_dtype": SNAPSHOT,
+                "profile": profile,
+                "basis": basis_of(profile),
+                "run": {
+                    "bench": "b1",
+                    "run": "r",
+                    "configuration": {"loop": {"rate": 1000}},
+                    "versions": {"golfbench": "test"},
+                    "real_time": {"scheduling": "FIFO"},
+                    "calibrations": {"date": "2026-11-21"},
+                },
+                "around": FlightConditions(),
+                "lead": 0.125,
+                "tail": 0.25,
+                **changes,
+            }
+        )
+
+    @property
+    def recorder(self) -> ServiceProcess:
+        """The newest one."""
+        return self.processes[-1]
+
+    def start(self, **changes: Any) -> None:
+        self.start_anyhow(**changes)
+        assert self.event()["event"] == "ready"
+
+    def start_anyhow(self, **changes: Any) -> None:
+        self.kill()
+        self.run("-m", RECORDER, plan=self.plan(**changes), **{PLAIN: "1"})
+
+    def snapshot(self, tick: int) -> None:
+        record = np.zeros(1, SNAPSHOT)
+        record["tick"], record["time"] = tick, 0.5
+        record["control"]["swings"] = 77
+        self.snapshots.write(record)
+
+    def correct(self, tick: int, number: int, weights: Sequence[float]) -> None:
+        """Let the loop have taken a correction in `tick`."""
+        record = np.zeros(1, CORRECTED)
+        record["asked"], record["tick"], record["order"] = number, tick, pack_correction(number, weights)
+        self.corrected.write(record)
+
+    def event(self) -> dict[str, Any]:
+        """Wait for the next event and return it."""
+        return self.recorder.event()
+
+    def read_up(self) -> None:
+        """Wait until the recorder has taken in all that is written."""
+        count = int(self.heartbeat()["count"])
+        wait_for(lambda: self.heartbeat()["count"] > count + 3)  # a turn that stores beats twice
+
+    def end(self) -> int:
+        """Ask the recorder to end and return its exit code."""
+        self.recorder.terminate()
+        return self.recorder.wait(HURRY)
+
+    def files(self) -> list[Path]:
+        return sorted((self.data / "swings" / "b1").glob("*"))
+
+    def close(self) -> None:
+        super().close()
+        self.snapshots.close()
+        self.corrected.close()
+
+
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(tmp_path)
+def bench(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Bench]:
+    made = Bench(tmp_path, getattr(request, "param", 16384))
     yield made
     made.close()
 
@@ -151,7 +242,7 @@ def test_recorder_sigterm_in_swing_stores_whole_swing(bench: Bench, day: MakeDay
     bench.start()
     bench.write(cycles[:900])
     bench.read_up()
-    bench.signal(signal.SIGTERM)
+    bench.recorder.send_signal(signal.SIGTERM)
     for at in range(900, len(cycles), 50):
         bench.write(cycles[at : at + 50])
         time.sleep(0.01)
@@ -173,7 +264,7 @@ def test_recorder_loop_silent_in_swing_stores_partial_record(bench: Bench, day: 
 
 def test_recorder_restart_in_second_swing_stores_each_once(bench: Bench, day: MakeDay) -> None:
     both = day([*SWING, *SWING])
-    bench.start()
+    bench.start(silence=60.0)
     bench.write(both[: len(both) // 2 + 900])
     assert bench.event()["number"] == 1
     bench.read_up()
@@ -212,12 +303,14 @@ def test_recorder_killed_before_heartbeat_stores_swing_once(bench: Bench, day: M
 def test_recorder_killed_with_waiting_swing_stores_each_once(
     bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
 ) -> None:
-    """The first is stored, the second is still in memory."""
+    """The first is stored; the second, for which the disk has no room, is still in memory."""
     both = day([*SWING, *SWING])
     bench.start(least_free=1)
     bench.write(both)
     assert bench.event()["event"] == "stored"
-    assert bench.event()["event"] == "fault"
+    told = bench.event()
+    assert told["event"] == "fault"
+    assert "No space left" in told["text"]
     bench.kill()
     small_disk(4)
     bench.start()
@@ -268,70 +361,65 @@ def test_recorder_short_stall_loses_no_cycles(bench: Bench, day: MakeDay) -> Non
     bench.start()
     bench.write(cycles[:100])
     bench.read_up()
-    bench.signal(signal.SIGSTOP)
+    bench.recorder.send_signal(signal.SIGSTOP)
     bench.write(cycles[100:])
     time.sleep(0.3)
-    bench.signal(signal.SIGCONT)
+    bench.recorder.send_signal(signal.SIGCONT)
     assert bench.event()["complete"]
     assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
     assert bench.heartbeat()["lost"] == 0
 
 
-def test_recorder_long_stall_counts_lost_cycles(tmp_path: Path, day: MakeDay) -> None:
-    bench = Bench(tmp_path, capacity=512)
-    try:
-        cycles = day(SWING)
-        bench.start()
-        bench.snapshot(301)
-        for at in range(0, 600, 100):
-            bench.write(cycles[at : at + 100])
-            bench.read_up()
-        bench.signal(signal.SIGSTOP)
-        bench.write(cycles[600:1300])
-        bench.signal(signal.SIGCONT)
+@pytest.mark.parametrize("bench", [512], indirect=True)
+def test_recorder_long_stall_counts_lost_cycles(bench: Bench, day: MakeDay) -> None:
+    cycles = day(SWING)
+    bench.start()
+    bench.snapshot(301)
+    for at in range(0, 600, 100):
+        bench.write(cycles[at : at + 100])
         bench.read_up()
-        bench.write(cycles[1300:])
-        told = bench.event()
-        assert (told["lost_records"], told["complete"], told["replayable"]) == (188, False, False)
-        recorded, metadata = read_swing(bench.files()[0])
-        assert metadata["lost_records"] == 188
-        assert list(recorded["tick"]) == [*range(173, 601), *range(789, 1457)]
-        assert bench.heartbeat()["lost"] == 188
-    finally:
-        bench.close()
+    bench.recorder.send_signal(signal.SIGSTOP)
+    bench.write(cycles[600:1300])
+    bench.recorder.send_signal(signal.SIGCONT)
+    bench.read_up()
+    bench.write(cycles[1300:])
+    told = bench.event()
+    assert (told["lost_records"], told["complete"], told["replayable"]) == (188, False, False)
+    recorded, metadata = read_swing(bench.files()[0])
+    assert metadata["lost_records"] == 188
+    assert list(recorded["tick"]) == [*range(173, 601), *range(789, 1457)]
+    assert bench.heartbeat()["lost"] == 188
 
 
 def test_recorder_write_failure_reports_fault_and_retries(bench: Bench, day: MakeDay) -> None:
     cycles = day(SWING)
     bench.start()
-    assert bench.recorder is not None
     resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
     bench.write(cycles)
     told = bench.event()
     assert told["event"] == "fault"
     assert "nothing was stored" in told["text"]
-    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
+    wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     assert bench.heartbeat()["waiting"] == 1
-    bench.wait_for(lambda: bench.files() == [])  # while it tries again there is a part of one
+    wait_for(lambda: bench.files() == [])  # while it tries again there is a part of one
     resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
     assert bench.event()["event"] == "stored"
     assert bench.event() == {"event": "recovered"}
     assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
-    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.WORKING)
+    wait_for(lambda: bench.heartbeat()["condition"] == Condition.WORKING)
 
 
 def test_recorder_data_path_is_file_reports_fault_and_recovers(bench: Bench) -> None:
     bench.data.write_text("a file, no folder")
     bench.start()
     assert "Not a directory" in (text := bench.event()["text"]) or "exists" in text
-    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
+    wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     bench.data.unlink()
     assert bench.event() == {"event": "recovered"}
 
 
 def test_recorder_end_with_unstored_swing_reports_waiting(bench: Bench, day: MakeDay) -> None:
     bench.start()
-    assert bench.recorder is not None
     resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
     bench.write(day(SWING))
     assert bench.event()["event"] == "fault"
@@ -342,14 +430,7 @@ def test_recorder_end_with_unstored_swing_reports_waiting(bench: Bench, day: Mak
 
 def test_recorder_supervisor_killed_records_until_loop_ends(bench: Bench, day: MakeDay) -> None:
     cycles = day([*ONCE[:2], (S.FAULT, 600)], cause=(650, Cause.SUPERVISOR))
-    program = f"import subprocess, sys\nc = subprocess.Popen([sys.executable, *{RECORDER}])"
-    supervisor = subprocess.Popen(
-        [sys.executable, "-c", f"{program}\nc.wait()"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    bench.recorder = supervisor
-    assert supervisor.stdin is not None
-    supervisor.stdin.write(pickle.dumps(bench.plan()))
-    supervisor.stdin.close()
+    supervisor = bench.run("-c", run_below(RECORDER), plan=bench.plan())
     assert bench.event()["event"] == "ready"
     bench.write(cycles[:500])  # armed
     bench.read_up()
@@ -358,7 +439,7 @@ def test_recorder_supervisor_killed_records_until_loop_ends(bench: Bench, day: M
     for at in range(500, len(cycles), 50):
         bench.write(cycles[at : at + 50])
         time.sleep(0.01)
-    bench.wait_for(lambda: len(bench.files()) == 1 and not bench.files()[0].name.startswith("."))
+    wait_for(lambda: len(bench.files()) == 1 and not bench.files()[0].name.startswith("."))
     data, metadata = stored_cycles(bench.files()[0])
     assert data == cycles[300 - 128 : 700 + 256].tobytes()
     assert metadata["outcome"]["cause"] == "SUPERVISOR"
@@ -370,7 +451,6 @@ def test_recorder_missing_ring_reports_failed(bench: Bench) -> None:
     told = bench.event()
     assert (told["event"], told["exit_code"]) == ("failed", 69)
     assert str(bench.folder / "ring") in told["location"]
-    assert bench.recorder is not None
     assert bench.recorder.wait(HURRY) == 69
 
 
@@ -395,86 +475,3 @@ def small_disk(bench: Bench) -> Iterator[Callable[[int], None]]:
     yield make_room
     bench.kill()
     subprocess.run(["umount", str(bench.data)], check=True)
-
-
-def test_recorder_full_disk_keeps_stored_record_and_retries(
-    bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
-) -> None:
-    """A swing takes over half of the disk."""
-    both = day([*SWING, *SWING])
-    bench.start(least_free=1)
-    bench.write(both[:1600])
-    assert bench.event()["event"] == "stored"
-    bench.write(both[1600:])
-    told = bench.event()
-    assert told["event"] == "fault"
-    assert "No space left" in told["text"]
-    assert "nothing was stored" in told["text"]
-    assert [path.name[0] != "." for path in bench.files()] == [True]
-    assert stored_cycles(bench.files()[0])[0] == both[300 - 128 : 1200 + 256].tobytes()
-    small_disk(4)
-    assert bench.event()["event"] == "stored"
-    assert bench.event() == {"event": "recovered"}
-    _, second = bench.files()
-    assert stored_cycles(second)[0] == both[1600 + 300 - 128 : 1600 + 1200 + 256].tobytes()
-
-
-def test_recorder_killed_on_full_disk_leaves_no_partial_file(
-    bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
-) -> None:
-    both = day([*SWING, *SWING])
-    bench.start(least_free=1)
-    bench.write(both[:1600])
-    assert bench.event()["event"] == "stored"
-    bench.write(both[1600:])
-    assert bench.event()["event"] == "fault"
-    bench.kill()
-    small_disk(4)
-    bench.start()
-    assert bench.event()["event"] == "stored"
-    assert len(bench.files()) == 2
-    assert {len(read_swing(path)[0]) for path in bench.files()} == {128 + 900 + 256}
-
-
-AS_ANYBODY = (
-    "-c",
-    "import ctypes, os, sys\n"
-    "ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_DAC_OVERRIDE: root's right to any file\n"
-    f"os.execv(sys.executable, [sys.executable, *{RECORDER}])",
-)
-
-
-def test_recorder_folder_turned_read_only_keeps_record_until_writable(tmp_path: Path, day: MakeDay) -> None:
-    bench = Bench(tmp_path, program=AS_ANYBODY)
-    try:
-        bench.start()
-        bench.wait_for((bench.data / "swings" / "b1").exists)
-        (bench.data / "swings" / "b1").chmod(0o500)
-        cycles = day(SWING)
-        bench.write(cycles)
-        told = bench.event()
-        assert told["event"] == "fault"
-        assert "Permission denied" in told["text"] or "cannot be written to" in told["text"]
-        bench.wait_for(lambda: bench.heartbeat()["waiting"] == 1)
-        assert bench.heartbeat()["condition"] == Condition.FAULT
-        assert bench.files() == []
-        (bench.data / "swings" / "b1").chmod(0o700)
-        assert bench.event()["event"] == "stored"
-        assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
-        assert bench.event() == {"event": "recovered"}
-    finally:
-        bench.close()
-
-
-def test_recorder_read_only_folder_reports_fault_at_start(tmp_path: Path) -> None:
-    bench = Bench(tmp_path, program=AS_ANYBODY)
-    try:
-        (bench.data / "swings" / "b1").mkdir(parents=True)
-        (bench.data / "swings" / "b1").chmod(0o500)
-        bench.start()
-        told = bench.event()
-        assert told["event"] == "fault"
-        assert "cannot be written to" in told["text"]
-        bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
-    finally:
-        bench.close()
