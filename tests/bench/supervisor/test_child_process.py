@@ -165,17 +165,13 @@ def test_child_start_keeps_parent_signal_mask(start: Start) -> None:
 
 # ManagedProcess --------------------------------------------------------------------------------------
 
-pytestmark = pytest.mark.live
-
-SLEEP = "import time; time.sleep(60)"
-
 
 class Nursery:
     """Starts children that do nothing, and beats their heart for them."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.syspath_prepend(str(folder))
-        (folder / "sleeper.py").write_text(SLEEP)
+        (folder / "sleeper.py").write_text("import time; time.sleep(60)")
         self.folder = folder
         self.children: list[Child] = []
 

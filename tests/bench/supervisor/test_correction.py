@@ -74,18 +74,14 @@ def test_correction_reader_order_at_rest_applies_and_reports_tick(bench: Bench) 
     assert bench.loop.take(8, resting=True) is None
 
 
-def test_correction_reader_order_in_motion_is_answered_and_dropped(bench: Bench) -> None:
-    bench.order(1, [0.5] * BASIS.size)
-    assert bench.loop.take(3, resting=False) is None
-    assert bench.told["asked"] == 1
-    assert bench.told["order"]["number"] == 0
-    assert bench.loop.take(4, resting=True) is None
-
-
-def test_correction_reader_wrong_weight_count_is_refused(bench: Bench) -> None:
-    bench.order(1, [0.5] * (BASIS.size - 1))
-    assert bench.loop.take(3, resting=True) is None
+@pytest.mark.parametrize(("weights", "resting"), [(BASIS.size, False), (BASIS.size - 1, True)])
+def test_correction_reader_order_in_motion_or_of_wrong_size_is_answered_and_dropped(
+    bench: Bench, weights: int, resting: bool
+) -> None:
+    bench.order(1, [0.5] * weights)
+    assert bench.loop.take(3, resting=resting) is None
     assert (bench.told["asked"], bench.told["order"]["number"]) == (1, 0)
+    assert bench.loop.take(4, resting=True) is None
 
 
 def test_correction_reader_empty_weights_restores_profile(bench: Bench) -> None:

@@ -140,12 +140,9 @@ def test_take_bench_two_ids_use_separate_folders(memory: Path) -> None:
         assert one.folder != other.folder
 
 
-def test_take_bench_missing_parent_is_refused(tmp_path: Path) -> None:
+def test_take_bench_unusable_parent_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NoBenchFolder, match="no parent folder"):
         take_bench("a", tmp_path / "missing")
-
-
-def test_take_bench_parent_not_directory_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(NoBenchFolder, match="Not a directory"):
         take_bench("a", tmp_path / "file")
@@ -164,13 +161,11 @@ def test_take_bench_symbolic_link_is_refused(memory: Path, tmp_path: Path) -> No
     assert os.listdir(elsewhere) == ["precious"]
 
 
-def test_take_bench_file_in_place_of_folder_is_refused(memory: Path) -> None:
+def test_take_bench_file_or_folder_open_to_others_is_refused(memory: Path) -> None:
     bench_folder("a", memory).touch()
     with pytest.raises(Refused, match="golfbench-a: found a file"):
         take_bench("a", memory)
-
-
-def test_take_bench_folder_open_to_others_is_refused(memory: Path) -> None:
+    bench_folder("a", memory).unlink()
     bench_folder("a", memory).mkdir()
     bench_folder("a", memory).chmod(0o770)
     with pytest.raises(Refused, match=r"open to others \(mode 0770\)"):

@@ -110,65 +110,54 @@ def test_orders_supervisor_declared_dead_stays_dead(put: Put, orders: Orders, su
 
 # A lease that is handed over ---------------------------------------------------------------------------
 
+HELD = {"heartbeat": 8, "lease": 1}
 
+
+@pytest.mark.parametrize(
+    ("orders_said", "seen"),
+    [
+        ([{"heartbeat": 9, "lease": 0}, {"heartbeat": 10, "lease": 2}], [(0, False), (0, True), (0, True)]),
+        (  # a request of the new holder waits for a tick
+            [{"lease": 2, "request": Request.SWING, "request_number": 4, "request_lease": 2}],
+            [(0, False), (Request.SWING, True), (0, True)],
+        ),
+        (  # one of the old holder is put without a lease: the loop stood still for longer than he waited
+            [{"request": Request.ARM, "request_number": 4, "request_lease": 1}, {"lease": 2}],
+            [(Request.ARM, False), (0, True), (0, True)],
+        ),
+        (  # a stop does not wait
+            [
+                {
+                    "lease": 2,
+                    "stop_count": 3,
+                    "request": Request.SWING,
+                    "request_number": 4,
+                    "request_lease": 2,
+                }
+            ],
+            [(Request.STOP, False), (Request.SWING, True), (0, True)],
+        ),
+    ],
+)
 def test_orders_lease_handover_between_ticks_drops_lease_for_one_tick(
-    put: Put, supervisor: Supervisor
+    put: Put, supervisor: Supervisor, orders_said: list[dict[str, int]], seen: list[tuple[int, bool]]
 ) -> None:
-    supervisor.say(heartbeat=8, lease=1)
+    supervisor.say(**HELD)
     assert put(100.0)["lease_held"]
-    supervisor.say(heartbeat=9, lease=0)
-    supervisor.say(heartbeat=10, lease=2)
-    assert [bool(put(100.001 + 0.001 * k)["lease_held"]) for k in range(3)] == [False, True, True]
+    for values in orders_said:
+        supervisor.say(**values)
+    ticks = [put(100.001 + 0.001 * k) for k in range(3)]
+    assert [(int(tick["request"]), bool(tick["lease_held"])) for tick in ticks] == seen
 
 
-def test_orders_lease_follows_grant_and_release(put: Put, supervisor: Supervisor) -> None:
+def test_orders_lease_follows_grant_release_and_silence(put: Put, supervisor: Supervisor) -> None:
     assert not put(100.0)["lease_held"]
-    supervisor.say(heartbeat=8, lease=1)
+    supervisor.say(**HELD)
     assert put(100.001)["lease_held"]
     supervisor.say(heartbeat=9, lease=0)
     assert not put(100.002)["lease_held"]
     supervisor.say(heartbeat=10, lease=2)
     assert put(100.003)["lease_held"]
-
-
-def test_orders_lease_handover_while_silent_drops_lease_for_one_tick(
-    put: Put, supervisor: Supervisor
-) -> None:
-    supervisor.say(heartbeat=8, lease=1)
-    put(100.0)
     assert not put(100.0 + 2 * SILENCE)["lease_held"]
-    supervisor.say(heartbeat=9, lease=2)
+    supervisor.say(heartbeat=11, lease=3)
     assert [bool(put(101.0 + 0.001 * k)["lease_held"]) for k in range(2)] == [False, True]
-
-
-def test_orders_request_of_new_holder_waits_one_tick(put: Put, supervisor: Supervisor) -> None:
-    supervisor.say(heartbeat=8, lease=1)
-    put(100.0)
-    supervisor.say(lease=2, request=Request.SWING, request_number=4, request_lease=2)
-    seen = [put(100.001 + 0.001 * k) for k in range(3)]
-    assert [(int(s["request"]), bool(s["lease_held"])) for s in seen] == [
-        (0, False),
-        (Request.SWING, True),
-        (0, True),
-    ]
-
-
-def test_orders_request_of_old_holder_is_put_without_lease(put: Put, supervisor: Supervisor) -> None:
-    """The loop stood still for longer than the holder waited for the answer."""
-    supervisor.say(heartbeat=8, lease=1)
-    put(100.0)
-    supervisor.say(request=Request.ARM, request_number=4, request_lease=1)
-    supervisor.say(lease=2)
-    seen = [put(100.001 + 0.001 * k) for k in range(3)]
-    assert [(int(s["request"]), bool(s["lease_held"])) for s in seen] == [
-        (Request.ARM, False),
-        (0, True),
-        (0, True),
-    ]
-
-
-def test_orders_stop_at_lease_handover_is_immediate(put: Put, supervisor: Supervisor) -> None:
-    supervisor.say(heartbeat=8, lease=1)
-    put(100.0)
-    supervisor.say(lease=2, stop_count=3, request=Request.SWING, request_number=4, request_lease=2)
-    assert [int(put(100.001 + 0.001 * k)["request"]) for k in range(3)] == [Request.STOP, Request.SWING, 0]
