@@ -49,31 +49,30 @@ def test_stall_note_loop_stall_names_duration() -> None:
     cycles = records()
     cycles["measured_step"][-1], cycles["encoder_age"][-1] = 0.0083, 0.009
     assert "the loop stood still for 8.3 ms" in note(cycles)
+    assert note(cycles, Cause.WRIST_FOLLOWING) == ""
+    assert cause_text(Cause.GUARD, "") == CAUSE_TEXT[Cause.GUARD]
 
 
-def test_stall_note_all_encoders_lost_names_all_three() -> None:
+@pytest.mark.parametrize(
+    ("last", "added"),
+    [
+        (5, np.linspace(0.001, 0.005, 5)[:, None]),
+        (5, np.linspace(-0.001, 0.0033, 5)[:, None] + [0.0, 0.0, 0.001]),  # one a tick before the others
+        (3, np.array([[0.003] * 3, [0.004] * 3, [0.0, 0.005, 0.005]])),  # one back in the last tick
+        (10, np.where(np.arange(10) == 2, np.nan, np.linspace(0.004, 0.0052, 10))[:, None]),  # in all records
+    ],
+)
+def test_stall_note_all_encoders_lost_names_all_three(last: int, added: np.ndarray) -> None:
     cycles = records()
-    cycles["encoder_age"][-5:] += np.linspace(0.001, 0.005, 5)[:, None]
-    assert "all three encoders were lost at once" in note(cycles)
-
-
-def test_stall_note_encoder_lost_one_tick_before_others_names_all_three() -> None:
-    cycles = records()
-    cycles["encoder_age"][-5:] += np.linspace(-0.001, 0.0033, 5)[:, None] + [0.0, 0.0, 0.001]
+    cycles["encoder_age"][-last:] += added
     assert "all three encoders were lost at once" in note(cycles, Cause.WRIST_ENCODER)
 
 
-def test_stall_note_encoder_back_in_last_tick_names_all_three() -> None:
+@pytest.mark.parametrize("lost", [0, 2])
+def test_stall_note_one_encoder_lost_is_empty(lost: int) -> None:
     cycles = records()
-    cycles["encoder_age"][-3:] += np.array([[0.003] * 3, [0.004] * 3, [0.0, 0.005, 0.005]])
-    assert "all three encoders were lost at once" in note(cycles, Cause.ARM_ENCODER)
-
-
-def test_stall_note_stall_longer_than_records_names_all_three() -> None:
-    cycles = records()
-    cycles["encoder_age"] = np.linspace(0.004, 0.0052, 10)[:, None]
-    cycles["encoder_age"][2] = np.nan
-    assert "all three encoders were lost at once" in note(cycles)
+    cycles["encoder_valid"][-5:, lost] = 0
+    assert note(cycles, Cause(Cause.SHOULDER_ENCODER + lost)) == ""
 
 
 def test_stall_note_jump_after_one_missed_tick_names_all_three() -> None:
@@ -122,20 +121,6 @@ def test_refusal_words_device_fault_takes_precedence() -> None:
     assert refusal_words(Refusal.READINGS, fault) == ("an encoder yields no valid readings", fault)
     assert refusal_words(Refusal.READINGS, "") == REFUSAL_WORDS[Refusal.READINGS]
     assert refusal_words(Refusal.GUARD, fault) == REFUSAL_WORDS[Refusal.GUARD]
-
-
-@pytest.mark.parametrize("lost", [0, 2])
-def test_stall_note_one_encoder_lost_is_empty(lost: int) -> None:
-    cycles = records()
-    cycles["encoder_valid"][-5:, lost] = 0
-    assert note(cycles, Cause(Cause.SHOULDER_ENCODER + lost)) == ""
-
-
-def test_stall_note_other_cause_is_empty() -> None:
-    cycles = records()
-    cycles["measured_step"][-1] = 0.0083
-    assert note(cycles, Cause.WRIST_FOLLOWING) == ""
-    assert cause_text(Cause.GUARD, "") == CAUSE_TEXT[Cause.GUARD]
 
 
 def test_cause_text_stall_note_replaces_action() -> None:
