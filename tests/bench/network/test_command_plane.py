@@ -30,6 +30,7 @@ from bench.network.command_plane import MAX_REQUEST_WAIT, QUEUE, CommandPlane
 from bench.network.lease import new_key
 from bench.network.zenoh_session import close_session, open_client, open_daemon
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.waiting import wait_until
 
 
 class FakeClock:
@@ -108,13 +109,6 @@ def asker(bench: RunningPlane) -> Iterator[Asker]:
 def another(bench: RunningPlane) -> Iterator[Asker]:
     with open_client(bench.configuration.network, "bench1") as session:
         yield Asker(session)
-
-
-def wait_until(holds: Callable[[], bool], timeout: float = 5.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 # What is asked and answered --------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from bench.base.address import free_port
 from bench.base.errors import BenchError, ExitCode
 from bench.commands.cli import main
 from bench.config import Configuration, NetworkSettings
+from bench.network.certificates import make_certificate, write_identity
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer, open_client, open_daemon
 from tests.bench.certified import Folder, bench_of, client_of
@@ -85,19 +87,15 @@ def heard_by(network: NetworkSettings, publisher: zenoh.Session, *, longest: flo
 # Who may not connect ---------------------------------------------------------------------------------
 
 
-def test_tls_connect_certificate_of_other_authority_is_refused(bench: RunningPlane, tmp_path: Path) -> None:
-    stranger = Folder(tmp_path / "other").add("bob")
-    with denied():
-        BenchClient.connect(client_of(bench.configuration.network.beyond, stranger))
-
-
-def test_tls_connect_foreign_certificate_with_bench_authority_is_refused(
-    bench: RunningPlane, folder: Folder, tmp_path: Path
+@pytest.mark.parametrize("trusts_bench", [False, True])
+def test_tls_connect_certificate_of_other_authority_is_refused(
+    bench: RunningPlane, folder: Folder, tmp_path: Path, trusts_bench: bool
 ) -> None:
-    """The stranger trusts the bench, so that it is the bench that refuses."""
+    """A stranger who trusts the bench is refused by the bench."""
     other = Folder(tmp_path / "other")
     stranger = other.add("bob")
-    (other.path / "authority.pem").write_bytes((folder.path / "authority.pem").read_bytes())
+    if trusts_bench:
+        (other.path / "authority.pem").write_bytes((folder.path / "authority.pem").read_bytes())
     with denied():
         BenchClient.connect(client_of(bench.configuration.network.beyond, stranger))
 
@@ -129,22 +127,15 @@ def test_bench_client_refuses_bench_with_wrong_certificate(folder: Folder, tmp_p
     false = bench_of(Folder(tmp_path / "other"))
     with running_plane(FakeDesk(), false), denied():
         BenchClient.connect(client_of(false.network.beyond, str(folder.path / "bob")))
-    network = bench_of_client(folder)
-    with open_daemon(network), denied():
-        BenchClient.connect(client_of(network.beyond, str(folder.path / "bob")))
-
-
-def bench_of_client(folder: Folder) -> NetworkSettings:
-    """Return the network of a bench whose certificate is a person's, for no address."""
-    from datetime import UTC, datetime
-
-    from bench.network.certificates import make_certificate, write_identity
-
-    made = make_certificate(folder.authority, "dora", (), datetime.now(UTC), 1.0)
+    made = make_certificate(
+        folder.authority, "dora", (), datetime.now(UTC), 1.0
+    )  # a person's, for no address
     write_identity(folder.path, "dora", made)
-    return NetworkSettings(
+    network = NetworkSettings(
         f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}", identity=str(folder.path / "dora")
     )
+    with open_daemon(network), denied():
+        BenchClient.connect(client_of(network.beyond, str(folder.path / "bob")))
 
 
 def test_tls_connection_ends_when_certificate_expires(
@@ -177,18 +168,33 @@ def test_viewer_role_reads_status_schema_and_publications(
         assert heard_by(beyond, publisher, longest=10.0) == set(PUBLISHED)
 
 
-def test_viewer_role_motion_and_lease_commands_are_denied(bench: RunningPlane, come_as: Connect) -> None:
-    viewer = come_as("anna", SHORT)
-    for command in (viewer.disarm, lambda: viewer.take_lease("anna")):
+@pytest.mark.parametrize("name", ["anna", "carl"])
+def test_client_without_operator_role_is_denied_motion_and_lease_commands(
+    bench: RunningPlane, come_as: Connect, name: str
+) -> None:
+    client = come_as(name, SHORT)
+    for command in (client.disarm, lambda: client.take_lease(name)):
         with denied():
             command()
+    assert bench.plane.lease() is None
     with come_as("bob").lease("bob") as held:
-        viewer.held = replace(held, sequence=100)  # even with a lease that is somebody's
-        for command in (viewer.reset, viewer.home, viewer.arm, viewer.swing, viewer.tee, viewer.access):
+        client.held = replace(held, sequence=100)  # even with a lease that is somebody's
+        for command in (client.reset, client.home, client.arm, client.swing, client.tee, client.access):
             with denied():
                 command()
     assert come_as("bob").status()["state"]  # time for what was sent before to arrive
     assert bench.service.requests == []
+
+
+def test_client_without_role_is_denied_status_and_publications(
+    bench: RunningPlane, come_as: Connect, folder: Folder
+) -> None:
+    with denied():
+        come_as("carl").status()
+    network = bench.configuration.network
+    with open_client(network, "bench1") as publisher:
+        beyond = client_of(network.beyond, str(folder.path / "carl")).network
+        assert heard_by(beyond, publisher, longest=0.5) == set()
 
 
 def test_remote_client_publications_and_queryables_are_blocked(bench: RunningPlane, folder: Folder) -> None:
@@ -224,24 +230,6 @@ def test_connected_client_stop_and_estop_are_accepted(
     client = come_as(name)
     assert client.stop().state == "FAULT"
     assert client.emergency_stop().state == "ESTOP"
-
-
-def test_client_without_role_is_denied_status_and_commands(
-    bench: RunningPlane, come_as: Connect, folder: Folder
-) -> None:
-    with denied():
-        come_as("carl").status()
-    client = come_as("carl", SHORT)
-    for command in (client.disarm, lambda: client.take_lease("carl")):
-        with denied():
-            command()
-    assert come_as("bob").status()["state"]  # time for what was sent before to arrive
-    assert bench.service.requests == []
-    assert bench.plane.lease() is None
-    network = bench.configuration.network
-    with open_client(network, "bench1") as publisher:
-        beyond = client_of(network.beyond, str(folder.path / "carl")).network
-        assert heard_by(beyond, publisher, longest=0.5) == set()
 
 
 def test_loopback_client_commands_without_role(bench: RunningPlane) -> None:

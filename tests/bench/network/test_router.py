@@ -23,11 +23,9 @@ from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer, access_control, open_client
 from tests.bench.certified import Folder, client_of
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.waiting import HURRY, wait_until
 
 EXAMPLE = VARIANTS / "router.json5"
-HURRY = 20.0
-"""s that anything may take on a busy machine."""
-
 ROUTER = """
 import sys, time, zenoh
 with zenoh.open(zenoh.Config.from_file(sys.argv[1])):
@@ -100,13 +98,6 @@ def answers(client: Configuration) -> bool:
             return bool(connected.status())
     except NoAnswer:
         return False
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + HURRY
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def denied(command: Callable[[], object]) -> bool:

@@ -9,7 +9,6 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +18,9 @@ from bench.records.telemetry.ring import RingWriter
 from bench.supervisor.child_process import HEARTBEAT, RING_FILE, TIMING_FILE, heartbeat_file
 from bench.supervisor.tick_timing import create_timing
 from drivers.base.shared_memory import SharedRecord
+from tests.waiting import HURRY
 
 Cycles = np.ndarray[Any, Any]
-HURRY = 15.0
-"""s that anything may take on a busy machine."""
-
-
-def wait_for(reached: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + HURRY
-    while not reached():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 class ServiceProcess(subprocess.Popen[bytes]):

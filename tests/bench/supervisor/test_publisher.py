@@ -23,14 +23,8 @@ from bench.network.zenoh_session import open_client, open_daemon
 from bench.records.telemetry.batches import Batch, decode_batch
 from bench.supervisor.child_process import Condition, PublisherPlan
 from bench.supervisor.publisher import Publisher
-from tests.bench.supervisor.service_bench import (
-    HURRY,
-    Cycles,
-    ServiceBench,
-    ServiceProcess,
-    run_below,
-    wait_for,
-)
+from tests.bench.supervisor.service_bench import Cycles, ServiceBench, ServiceProcess, run_below
+from tests.waiting import HURRY, wait_until
 
 pytestmark = pytest.mark.live
 
@@ -90,7 +84,7 @@ class Bench(ServiceBench):
         return process
 
     def wait_for_tick(self, tick: int) -> None:
-        wait_for(lambda: self.heartbeat()["tick"] >= tick)
+        wait_until(lambda: self.heartbeat()["tick"] >= tick)
 
     def close(self) -> None:
         self.kill()
@@ -108,7 +102,7 @@ def batches_up_to(subscriber: zenoh.Subscriber[Any], tick: int) -> list[Batch]:
             found.append(decode_batch(sample.payload.to_bytes()))
         return bool(found) and int(found[-1].cycles["tick"][-1]) >= tick
 
-    wait_for(look)
+    wait_until(look)
     return found
 
 
@@ -286,7 +280,7 @@ def test_publisher_lost_connection_reports_fault_and_recovers(bench: Bench, day:
     publisher = bench.start()
     bench.sessions.pop().close()
     assert publisher.event()["event"] == "fault"
-    wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
+    wait_until(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     bench.listen()
     assert publisher.event() == {"event": "recovered"}
     telemetry = bench.subscribe("telemetry")

@@ -30,14 +30,8 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import PLAIN
 from drivers.base.shared_memory import SharedRecord
-from tests.bench.supervisor.service_bench import (
-    HURRY,
-    Cycles,
-    ServiceBench,
-    ServiceProcess,
-    run_below,
-    wait_for,
-)
+from tests.bench.supervisor.service_bench import Cycles, ServiceBench, ServiceProcess, run_below
+from tests.waiting import HURRY, wait_until
 
 pytestmark = pytest.mark.live
 
@@ -114,7 +108,7 @@ class Bench(ServiceBench):
     def read_up(self) -> None:
         """Wait until the recorder has taken in all that is written."""
         count = int(self.heartbeat()["count"])
-        wait_for(lambda: self.heartbeat()["count"] > count + 3)  # a turn that stores beats twice
+        wait_until(lambda: self.heartbeat()["count"] > count + 3)  # a turn that stores beats twice
 
     def end(self) -> int:
         """Ask the recorder to end and return its exit code."""
@@ -399,21 +393,21 @@ def test_recorder_write_failure_reports_fault_and_retries(bench: Bench, day: Mak
     told = bench.event()
     assert told["event"] == "fault"
     assert "nothing was stored" in told["text"]
-    wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
+    wait_until(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     assert bench.heartbeat()["waiting"] == 1
-    wait_for(lambda: bench.files() == [])  # while it tries again there is a part of one
+    wait_until(lambda: bench.files() == [])  # while it tries again there is a part of one
     resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
     assert bench.event()["event"] == "stored"
     assert bench.event() == {"event": "recovered"}
     assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
-    wait_for(lambda: bench.heartbeat()["condition"] == Condition.WORKING)
+    wait_until(lambda: bench.heartbeat()["condition"] == Condition.WORKING)
 
 
 def test_recorder_data_path_is_file_reports_fault_and_recovers(bench: Bench) -> None:
     bench.data.write_text("a file, no folder")
     bench.start()
     assert "Not a directory" in (text := bench.event()["text"]) or "exists" in text
-    wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
+    wait_until(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     bench.data.unlink()
     assert bench.event() == {"event": "recovered"}
 
@@ -439,7 +433,7 @@ def test_recorder_supervisor_killed_records_until_loop_ends(bench: Bench, day: M
     for at in range(500, len(cycles), 50):
         bench.write(cycles[at : at + 50])
         time.sleep(0.01)
-    wait_for(lambda: len(bench.files()) == 1 and not bench.files()[0].name.startswith("."))
+    wait_until(lambda: len(bench.files()) == 1 and not bench.files()[0].name.startswith("."))
     data, metadata = stored_cycles(bench.files()[0])
     assert data == cycles[300 - 128 : 700 + 256].tobytes()
     assert metadata["outcome"]["cause"] == "SUPERVISOR"

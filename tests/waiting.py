@@ -1,0 +1,17 @@
+"""Waiting for another thread or process, as long as anything may take on a busy machine."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+HURRY = 15.0
+"""s that anything may take on a busy machine."""
+
+
+def wait_until(holds: Callable[[], bool], longest: float = HURRY) -> None:
+    """Wait until `holds()`; fail after `longest` s."""
+    deadline = time.monotonic() + longest
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
