@@ -186,8 +186,8 @@ class Recorder:
 
     def _entries_of(self, cut: RecordSegment) -> Mapping[str, Any]:
         """Return the common entries of all records, with the corrected profile of `cut`."""
-        swung = cut.cycles["tick"][cut.cycles["state"] == State.SWINGING]
-        tick = int(swung[0] if len(swung) else cut.cycles["tick"][-1])
+        begin = _begin(cut.cycles)
+        tick = cut.cycles["tick"][-1] if begin is None else begin
         held = [c["order"] for c in self._corrections if c["tick"][0] <= tick]
         if not held or not (weights := weights_of(held[-1])):
             return self._entries

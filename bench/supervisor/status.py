@@ -171,7 +171,8 @@ def status_of(newest: Cycles | None, stall: str, disarmed: Cause, **beside: Any)
 
 def cause_text(cause: Cause, stall: str) -> str:
     """Return the operator's text for `cause`; with a stall in place of its action, if there was one."""
-    return in_one(_words(cause, stall))
+    fact, action = CAUSE_WORDS[cause]
+    return in_one((fact, stall or action))
 
 
 def disarmed_for(cycle: Any, before: State, *, series: bool) -> Cause:
@@ -194,11 +195,6 @@ def disarmed_for(cycle: Any, before: State, *, series: bool) -> Cause:
     return Cause.ARMED_TIME if before is State.ARMED else Cause.NONE
 
 
-def _words(cause: Cause, stall: str) -> Words:
-    fact, action = CAUSE_WORDS[cause]
-    return fact, stall or action
-
-
 def refusal_words(refusal: Refusal, fault: str) -> Words:
     """Return the operator's words for `refusal`; the device's `fault`, if known, in place of its action."""
     fact, action = REFUSAL_WORDS[refusal]
@@ -206,8 +202,8 @@ def refusal_words(refusal: Refusal, fault: str) -> Words:
 
 
 def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:
-    fact, action = _words(cause, stall)
-    return CauseStatus(name=cause.name, text=fact, action=action) if cause else None
+    fact, action = CAUSE_WORDS[cause]
+    return CauseStatus(name=cause.name, text=fact, action=stall or action) if cause else None
 
 
 def _position(seen: float) -> bool | None:

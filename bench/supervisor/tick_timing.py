@@ -5,7 +5,6 @@ Constant memory, one small compiled call a tick. Layout and reader: `bench.super
 
 from __future__ import annotations
 
-import mmap
 import os
 from pathlib import Path
 from typing import Any
@@ -77,10 +76,9 @@ def _note(words: Any, marks: Any, due: int, woke: int) -> int:
 class TickTiming:
     """The loop's side: counts its ticks into a TIMING record."""
 
-    def __init__(self, record: np.ndarray[Any, Any], memory: mmap.mmap | None = None) -> None:
-        """Count into `record`, a one-element array of TIMING, which may be in `memory`."""
+    def __init__(self, record: np.ndarray[Any, Any]) -> None:
+        """Count into `record`, a one-element array of TIMING, which may be in a mapped file."""
         self._record, self._words = record, record.view(np.int64)
-        self._memory = memory
 
     def note(self, marks: NDArray[np.int64], due: int, woke: int) -> int:
         """Count a tick with its due and wake-up times (ns); `marks` are its STAMPS. Takes about 1 us.
@@ -101,8 +99,6 @@ class TickTiming:
         """Unmap; the file remains. May be called twice."""
         self._record = np.zeros(1, TIMING)
         self._words = self._record.view(np.int64)
-        if self._memory is not None:
-            self._memory.close()
 
 
 def new_timing(period_ns: int) -> np.ndarray[Any, Any]:
@@ -120,11 +116,9 @@ def create_timing(path: Path, period_ns: int) -> TickTiming:
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-        try:
+        with open(descriptor, "r+b") as file:
             os.posix_fallocate(descriptor, 0, TIMING.itemsize)  # a full folder fails here, not in a tick
-            memory = mmap.mmap(descriptor, TIMING.itemsize)
-        finally:
-            os.close(descriptor)
+            record = np.memmap(file, TIMING, shape=1)
     except OSError as error:
         raise SharedMemoryError(
             str(path),
@@ -132,10 +126,9 @@ def create_timing(path: Path, period_ns: int) -> TickTiming:
             f"a folder in memory without a file of that name, with {TIMING.itemsize} bytes left",
             "Create the folder, free some of its memory, or remove the file if no process uses it.",
         ) from error
-    record = np.frombuffer(memory, TIMING)
     record["period"] = period_ns
     record["layout"] = LAYOUT  # last: a reader that opens earlier finds the file not ready
-    return TickTiming(record, memory)
+    return TickTiming(record.view(np.ndarray))
 
 
 def check_budget(stamps: NDArray[np.int64], period_ns: int) -> None:
