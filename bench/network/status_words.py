@@ -50,10 +50,7 @@ VENTING_WORDS = {
     State.SAFE: ("Venting, not homed", "Wait until it is vented, then home the robot."),
     State.READY: ("Venting, homed", "Arm to swing once it is vented."),
     State.ACCESS: ("Guard unlocked, but a chamber shows pressure", "Leave the robot and close the guard."),
-    State.FAULT: (
-        "Latched, not vented yet",
-        "Stay outside until it is vented; clear the cause, then reset.",
-    ),
+    State.FAULT: ("Latched, not vented yet", "Stay outside until it is vented; clear the cause, then reset."),
 }
 """Words for the states of a standing robot whose chambers are not proven empty yet."""
 

@@ -360,12 +360,7 @@ class Daemon:
 
     def _start_publisher(self) -> Child:
         c = self.configuration
-        plan = PublisherPlan(
-            bench=c.bench.id,
-            network=c.network,
-            folder=self._folder,
-            wall=self.wall,
-        )
+        plan = PublisherPlan(bench=c.bench.id, network=c.network, folder=self._folder, wall=self.wall)
         return Child.start("publisher", "bench.supervisor.publisher", plan)
 
     def _start_launch_monitor(self) -> Child:

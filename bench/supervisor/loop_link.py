@@ -79,11 +79,7 @@ class LoopLink:
 
     def beat(self, *, lease: int, support_ready: bool) -> None:
         """Send heartbeat and permissions to the loop; `lease` is the lease's number, 0 if not held."""
-        self._order(
-            heartbeat=int(self._orders["heartbeat"][0]) + 1,
-            lease=lease,
-            support_ready=support_ready,
-        )
+        self._order(heartbeat=int(self._orders["heartbeat"][0]) + 1, lease=lease, support_ready=support_ready)
 
     def shut_down(self) -> None:
         """Order the loop to end as soon as the robot is at rest."""

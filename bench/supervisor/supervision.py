@@ -10,13 +10,7 @@ from numba import carray
 
 from bench.base.lifecycle import Request
 from bench.control.step_records import CONTROL_STATE
-from bench.supervisor.child_process import (
-    CORRECTED,
-    CORRECTED_FILE,
-    CORRECTION,
-    CORRECTION_FILE,
-    weights_of,
-)
+from bench.supervisor.child_process import CORRECTED, CORRECTED_FILE, CORRECTION, CORRECTION_FILE, weights_of
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
 from drivers.base.compiled import IS_PLAIN, compiled, compiled_with_arrays, new_record, numbers

@@ -13,16 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import Refused
-from bench.supervisor.timing_record import (
-    BUCKETS,
-    LATE,
-    LAYOUT,
-    SEGMENTS,
-    STAMPS,
-    TIMING,
-    Stall,
-    upper_edges,
-)
+from bench.supervisor.timing_record import BUCKETS, LATE, LAYOUT, SEGMENTS, STAMPS, TIMING, Stall, upper_edges
 from drivers.base.compiled import compiled
 from drivers.base.shared_memory import SharedMemoryError
 

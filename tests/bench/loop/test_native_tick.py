@@ -194,10 +194,7 @@ finite_or_not = st.floats(allow_nan=True, allow_infinity=True)
 
 
 @settings(max_examples=100, deadline=None)
-@given(
-    valve=st.tuples(*[finite_or_not | st.floats(-1.5, 1.5)] * 3),
-    bits=st.tuples(*[st.booleans()] * 6),
-)
+@given(valve=st.tuples(*[finite_or_not | st.floats(-1.5, 1.5)] * 3), bits=st.tuples(*[st.booleans()] * 6))
 def test_limit_command_matches_device_limited(
     valve: tuple[float, float, float], bits: tuple[bool, ...]
 ) -> None:
