@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from math import ceil, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -89,18 +90,26 @@ def wear(context: typer.Context, records: Records, plot: Plot = None, json_: Jso
 
 
 def _store(context: typer.Context, time_utc: str, bench: str | None, texts: dict[str, str]) -> None:
-    """Store findings, texts by part, for the status of `bench` if it is the configured one."""
-    from bench.supervisor.status import wear_file, write_wear
+    """Store findings, texts by part, for the status of `bench` if it is the configured one.
+
+    Findings on later swings than these stay.
+    """
+    from bench.supervisor.status import read_wear, wear_file, write_wear
 
     settings = context.ensure_object(Session).configuration().bench
-    if bench == settings.id:
-        findings: list[WearFinding] = [
-            {"part": part, "text": text, "time_utc": time_utc} for part, text in texts.items()
-        ]
-        try:
-            write_wear(wear_file(settings.data_dir, bench), findings)
-        except BenchError as error:
-            Console(stderr=True).print(str(error), style="yellow", highlight=False)
+    if bench != settings.id:
+        return
+    file = wear_file(settings.data_dir, bench)
+    with suppress(BenchError):  # an invalid file is replaced
+        if any(one["time_utc"] > time_utc for one in read_wear(file)):
+            return
+    findings: list[WearFinding] = [
+        {"part": part, "text": text, "time_utc": time_utc} for part, text in texts.items()
+    ]
+    try:
+        write_wear(file, findings)
+    except BenchError as error:
+        Console(stderr=True).print(str(error), style="yellow", highlight=False)
 
 
 def _worn_text(one: PartWear) -> str:
