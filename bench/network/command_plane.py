@@ -167,8 +167,8 @@ class CommandPlane:
         self._told: tuple[Any, ...] = ()
         self._told_at = -HEARTBEAT
         self._stops = _Lane("command stops", self._do_stops, QUEUE)
-        self._requests = _Lane("command requests", self._do_request, 1)
-        self._lookups = _Lane("command lookups", self._do_lookup, 1)
+        self._requests = _Lane("command requests", self._do_each, 1)
+        self._lookups = _Lane("command lookups", self._do_each, 1)
         # All drop messages that a receiver does not take.
         self._state, self._event, self._shot = (
             session.declare_publisher(
@@ -307,18 +307,14 @@ class CommandPlane:
             else:
                 self._answer(message.query, message.verb, replies[message.verb])
 
-    def _do_request(self, messages: list[Message], _: frozenset[str]) -> None:
+    def _do_each(self, messages: list[Message], _: frozenset[str]) -> None:
         for query, verb, payload, arrived in messages:
-            if self._closing:
+            if verb in _REQUESTED and self._closing:
                 self._refuse(query, verb, Refusal.SHUTTING_DOWN)
-            elif self._clock() - arrived > MAX_REQUEST_WAIT:
+            elif verb in _REQUESTED and self._clock() - arrived > MAX_REQUEST_WAIT:
                 self._refuse(query, verb, Refusal.TOO_LATE)
             else:
                 self._do(query, verb, payload)
-
-    def _do_lookup(self, messages: list[Message], _: frozenset[str]) -> None:
-        for query, verb, payload, _arrived in messages:
-            self._do(query, verb, payload)
 
     def _do(self, query: zenoh.Query, verb: str, payload: bytes) -> None:
         try:

@@ -137,19 +137,16 @@ class StatusCondition(NamedTuple):
 
 def robot_conditions(status: BenchStatus) -> list[StatusCondition]:
     """Return the conditions of the robot."""
-    return [
-        _condition("homed", "not homed", status["homed"]),
-        _condition("vented", "not vented", status["vented"]),
-    ]
+    return _conditions(("homed", "not homed", status["homed"]), ("vented", "not vented", status["vented"]))
 
 
 def interlock_conditions(status: BenchStatus) -> list[StatusCondition]:
     """Return the conditions of emergency stop circuit and guard."""
-    return [
-        _condition("e-stop clear", "e-stop open", status["emergency_stop_clear"]),
-        _condition("guard closed", "guard open", status["guard_closed"]),
-        _condition("guard locked", "guard not locked", status["guard_locked"]),
-    ]
+    return _conditions(
+        ("e-stop clear", "e-stop open", status["emergency_stop_clear"]),
+        ("guard closed", "guard open", status["guard_closed"]),
+        ("guard locked", "guard not locked", status["guard_locked"]),
+    )
 
 
 def block_text(block: ArmingBlock) -> str:
@@ -215,5 +212,5 @@ def warning_texts(status: BenchStatus) -> list[str]:
     return found
 
 
-def _condition(yes: str, no: str, holds: bool) -> StatusCondition:
-    return StatusCondition(yes if holds else no, holds)
+def _conditions(*rows: tuple[str, str, bool]) -> list[StatusCondition]:
+    return [StatusCondition(yes if holds else no, holds) for yes, no, holds in rows]
