@@ -254,7 +254,7 @@ def read_wear(path: Path) -> list[WearFinding]:
 class RunMarker:
     """The file `state/<bench id>.json` in the data folder, written by a separate thread.
 
-    The thread also reads the findings of wear beside it. Access to a disk may take longer than the
+    The thread also reads the findings of wear. Access to a disk may take longer than the
     supervisor's heartbeat time-out.
     """
 
@@ -294,7 +294,7 @@ class RunMarker:
         self.wear: list[WearFinding] = []
         """Findings of wear that were read last."""
         self.wear_fault = ""
-        """Fault of their file; empty if there is none."""
+        """Fault of their file, or empty."""
         self._wear_file = wear_file(data_dir, bench_id)
         self._reading: Future[None] | None = None
         self._writer = ThreadPoolExecutor(1, "run marker")
