@@ -20,13 +20,11 @@ from bench.campaign.plan.plan_file import plan_from_record
 from bench.campaign.plan.shot_sequence import Role, sections
 from bench.campaign.report.campaign_record import with_exclusions
 from bench.campaign.run.campaign_control import answer, ask, is_running, standing_now
-from bench.campaign.statistics.analysis import interim_analysis
-from bench.campaign.statistics.control_chart import control_charts, dispersion_ellipses
 from bench.config import Configuration, database_url
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
-from bench.store.rows import ENDED, MAX_COMMENT_LENGTH, CampaignState, Prompt, ShotNote, places
+from bench.store.rows import ENDED, MAX_COMMENT_LENGTH, CampaignState, ShotNote, places
 from bench.web.answers import MAX_RECORDS, REPORT, Asked, Download, Downloads, InvalidBody, UnknownName
 from bench.web.command_line import BackgroundCommand, CommandLine
 from bench.web.last_swing import swing_view
@@ -44,6 +42,8 @@ class CampaignArchive:
         bench = configuration.bench
         self._bench, self.data_dir = bench.id, bench.data_dir
         self._url = database_url(bench.database, bench.data_dir)
+        self._details: dict[str, tuple[Any, dict[str, Any] | None]] = {}
+        """By running campaign: key and content of its newest detail."""
 
     @contextmanager
     def store(self) -> Iterator[CampaignStore]:
@@ -108,33 +108,44 @@ class CampaignArchive:
             plan = plan_from_record(entry.plan, f"campaign {entry.id}")
             taken = [stored.shot for stored in store.shots(entry.id)]
             shots = with_exclusions(taken, store.exclusions(entry.id))
-            prompts = store.prompts(entry.id)
+            open_prompts = [
+                {"number": one.number, "text": one.text, "places": places(one.balls)}
+                for one in store.prompts(entry.id)
+                if one.answered is None
+            ]
             state = standing_now(self.data_dir, entry.id, store.standing(entry.id)).state
         return {
             "campaign": entry.id,
             "title": entry.title,
             "state": str(state),
-            "prompt": _prompt(prompts),
+            "prompt": open_prompts[-1] if open_prompts else None,
             "charts": _charts(plan, shots),
             "interim": None if state in ENDED else _interim(plan, shots),
             "landing": _landing(plan, shots) if state in ENDED else None,
             "runner": is_running(self.data_dir, entry.id),
         }
 
+    def running(self, messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Return progress and detail of running campaigns; details are read again when a message changed."""
+        found = [(str(one.get("campaign")), one) for one in messages]
+        self._details = {name: self._running_detail(name, one) for name, one in found}
+        return [{"progress": one, "detail": self._details[name][1]} for name, one in found]
 
-def _open_prompt(prompts: list[Prompt]) -> Prompt | None:
-    return prompts[-1] if prompts and prompts[-1].answered is None else None
-
-
-def _prompt(prompts: list[Prompt]) -> dict[str, Any] | None:
-    if (prompt := _open_prompt(prompts)) is None:
-        return None
-    fields = ("number", "text")
-    return {name: getattr(prompt, name) for name in fields} | {"places": places(prompt.balls)}
+    def _running_detail(self, name: str, message: dict[str, Any]) -> tuple[Any, dict[str, Any] | None]:
+        """Return the key of the detail of campaign `name`, and the detail; None if it is not here."""
+        key = [message.get(part) for part in ("shots", "state", "reason")]
+        if (known := self._details.get(name)) is not None and known[0] == key:
+            return known
+        try:
+            return key, self.detail(name)
+        except (BenchError, ExceptionGroup, OSError):
+            return key, None
 
 
 def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
     """Return the control charts of the section of the last shot."""
+    from bench.campaign.statistics.control_chart import control_charts
+
     if not shots:
         return []
     mine = [shot for shot in shots if shot.section == shots[-1].section]
@@ -148,6 +159,8 @@ def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
 
 def _interim(plan: CampaignPlan, shots: list[Shot]) -> dict[str, Any] | None:
     """Return the section of the last shot as the plan's stopping rule saw it at its latest look."""
+    from bench.campaign.statistics.analysis import interim_analysis
+
     section = shots[-1].section if shots else 0
     found = interim_analysis(plan, [shot for shot in shots if shot.section == section])
     if found is None:
@@ -162,60 +175,24 @@ def _interim(plan: CampaignPlan, shots: list[Shot]) -> dict[str, Any] | None:
 
 
 def _landing(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
+    from bench.campaign.statistics.control_chart import dispersion_ellipses
+
+    fields = {"level": "name", "centre": "centre", "long": "long_axis", "short": "short_axis", "tilt": "tilt"}
     found = []
     for section in sections(plan):
         mine = [shot for shot in shots if shot.section == section.number]
         points = [
-            {
-                "level": str(getattr(shot, plan.design.compare)),
-                "side": shot.carry_side_m,
-                "carry": shot.carry_m,
-            }
-            for shot in mine
-            if shot.role == Role.TEST
-            and shot.status is ShotStatus.VALID
-            and shot.carry_m is not None
-            and shot.carry_side_m is not None
+            {"level": str(getattr(one, plan.design.compare)), "side": one.carry_side_m, "carry": one.carry_m}
+            for one in mine
+            if one.role == Role.TEST and one.status is ShotStatus.VALID
+            if one.carry_m is not None and one.carry_side_m is not None
         ]
         ellipses = [
-            {
-                "level": one.name,
-                "centre": one.centre,
-                "long": one.long_axis,
-                "short": one.short_axis,
-                "tilt": one.tilt,
-            }
+            {key: getattr(one, field) for key, field in fields.items()}
             for one in dispersion_ellipses(plan, mine)
         ]
         found.append({"section": section.name, "points": points, "ellipses": ellipses})
     return found
-
-
-class RunningCampaigns:
-    """Running campaigns on the page: their messages, with prompt and charts from the database."""
-
-    def __init__(self, archive: CampaignArchive) -> None:
-        self._archive = archive
-        self._details: dict[str, tuple[Any, dict[str, Any] | None]] = {}
-
-    def view(self, running: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        """Return what to show of the `running` campaigns; details are read again when a message changed."""
-        self._details = {(name := _name_of(one)): self._detail(name, one) for one in running}
-        return [{"progress": one, "detail": self._details[_name_of(one)][1]} for one in running]
-
-    def _detail(self, name: str, message: dict[str, Any]) -> tuple[Any, dict[str, Any] | None]:
-        """Return the key of the detail of campaign `name`, and the detail; None if it is not here."""
-        key = [message.get(part) for part in ("shots", "state", "reason")]
-        if (known := self._details.get(name)) is not None and known[0] == key:
-            return known
-        try:
-            return key, self._archive.detail(name)
-        except (BenchError, ExceptionGroup, OSError):
-            return key, None
-
-
-def _name_of(message: dict[str, Any]) -> str:
-    return str(message.get("campaign"))
 
 
 STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
@@ -297,7 +274,10 @@ class CampaignService:
             case "answer":
                 prompt, balls = int(asked.number("prompt")), _count(asked)
                 asked.once(fresh=True)  # the robot moves then
-                return {"note": f"Done: {self._answer(campaign, prompt, by, balls)}"}
+                with self._archive.store() as store:
+                    now, data_dir = datetime.now(UTC), self._archive.data_dir
+                    text, _ = answer(store, data_dir, campaign, by, now, balls, number=prompt)
+                return {"note": f"Done: {text}"}
             case "mark":
                 shot, comment = int(asked.number("shot")), asked.text("comment", MAX_COMMENT_LENGTH, 0)
                 asked.once()
@@ -318,15 +298,6 @@ class CampaignService:
             return {"note": f"{STARTED.format(campaign)}."}
         with self._archive.store() as store:
             return {"note": f"{campaign} {ask(store, data_dir, campaign, REQUESTS[name], by)}."}
-
-    def _answer(self, campaign: str, prompt: int, by: str, balls: int | None) -> str:
-        """Confirm that prompt number `prompt` is done, with so many loaded `balls`; return its text."""
-        with self._archive.store() as store:
-            waiting = _open_prompt(store.prompts(store.entry(campaign).id))
-            if waiting is None or waiting.number != prompt:
-                location, found = f"campaign {campaign}", "this prompt does not wait any more"
-                raise Refused(location, found, "the prompt that waits", "Read the present prompt.")
-            return answer(store, self._archive.data_dir, campaign, by, datetime.now(UTC), balls)[0]
 
 
 def _count(asked: Asked) -> int | None:

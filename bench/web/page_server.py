@@ -22,7 +22,7 @@ from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.ownership import bench_folder
 from bench.web.answers import Downloads, InvalidBody, UnknownName, json_answer
 from bench.web.bench_link import BenchLink, PageBroadcaster, TopicPoller
-from bench.web.campaign_service import CampaignArchive, CampaignService, RunningCampaigns
+from bench.web.campaign_service import CampaignArchive, CampaignService
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
 from bench.web.last_swing import SwingReader
 from bench.web.page_access import (
@@ -99,8 +99,7 @@ def serve_page(
         commissionings = CommissioningService(program, shelf, command)
         link.start()
         stack.callback(link.close)
-        shown = RunningCampaigns(archive)
-        looks = {"commissioning": shelf.view, "campaigns": lambda: shown.view(link.client().campaigns())}
+        looks = {"commissioning": shelf.view, "campaigns": lambda: archive.running(link.client().campaigns())}
         poller = TopicPoller(broadcaster, looks)
         poller.start()
         stack.callback(poller.close)

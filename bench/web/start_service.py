@@ -32,13 +32,6 @@ from bench.base.from_toml import parse_toml, read_text
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import CalibrationKind, in_words
 from bench.campaign.plan.plan_file import EXAMPLES, campaign_names
-from bench.commissioning.commissioning import (
-    ALL_STEPS,
-    STATE_FILE,
-    Commissioning,
-    commissioning_process,
-    read_state,
-)
 from bench.config import Configuration, database_url
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
@@ -63,6 +56,8 @@ from bench.web.page_service import PageService, Pool
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
+
+    from bench.commissioning.commissioning import DoneStep
 
 MAX_FILES = 100
 """Max number of listed plans, and of listed robots."""
@@ -387,9 +382,8 @@ class CommissioningStore:
         self._folder, self._robots, self._bench = data_dir / "commissioning", data_dir / "robots", bench
 
     def view(self) -> dict[str, Any]:
-        """Return steps, robots and commissionings, the newest first, as the page shows them."""
+        """Return robots and commissionings, the newest first, as the page shows them."""
         return {
-            "steps": [{"title": step.title, "bounds": step.bounds_text} for step in ALL_STEPS],
             "robots": list(toml_files(self._robots)),
             "folder": str(self._robots),
             "commissionings": [_commissioning(folder) for folder in self._folders()],
@@ -427,51 +421,45 @@ class CommissioningStore:
 
     def _folders(self) -> list[Path]:
         try:
-            found = [path for path in self._folder.iterdir() if _is_one(path)]
+            listed = [
+                p for p in self._folder.iterdir() if PLAIN_NAME.fullmatch(p.name) and not p.is_symlink()
+            ]
+            if not listed:  # the import costs a second
+                return []
+            from bench.commissioning.commissioning import STATE_FILE
+
+            found = [path for path in listed if plain_file(path / STATE_FILE)]
             found.sort(key=lambda path: (path / STATE_FILE).stat().st_mtime_ns, reverse=True)
         except OSError:
             return []
         return found[:MAX_LISTED]
 
 
-def _is_one(path: Path) -> bool:
-    plain = bool(PLAIN_NAME.fullmatch(path.name)) and not path.is_symlink()
-    return plain and plain_file(path / STATE_FILE) is not None
-
-
 def _commissioning(folder: Path) -> dict[str, Any]:
     """Return a commissioning for the page; one that cannot be read says why."""
+    from bench.commissioning.commissioning import ALL_STEPS, commissioning_process, read_state
+
     named = {"name": folder.name, "process": commissioning_process(folder)}
     try:
         state = read_state(folder)
     except BenchError as error:
         return named | {"unreadable": str(error)}
-    wrong = state.wrong
+    wrong, done = state.wrong, {step.name: step for step in state.done}
     return named | {
         "unreadable": "",
         "robot": Path(state.robot).stem if state.robot else "",
-        "steps": _steps(state),
+        "steps": [_step(step.title, done.get(step.name)) for step in ALL_STEPS],
         "done": len(state.done),
         "wrong": None if wrong is None else wrong._asdict(),
         "files": [kind for kind, file in FILES.items() if plain_file(folder / file) is not None],
     }
 
 
-def _steps(state: Commissioning) -> list[dict[str, Any]]:
-    done = {step.name: step for step in state.done}
-    found = []
-    for step in ALL_STEPS:
-        one = done.get(step.name)
-        found.append(
-            {
-                "title": step.title,
-                "done": one is not None,
-                "seconds": None if one is None else one.seconds,
-                "values": 0 if one is None else len(one.values),
-                "notes": [] if one is None else list(one.notes),
-            }
-        )
-    return found
+def _step(title: str, done: DoneStep | None) -> dict[str, Any]:
+    """Return a step for the page; `done` is its result, None before it."""
+    seconds, values, notes = (None, (), ()) if done is None else (done.seconds, done.values, done.notes)
+    found = {"seconds": seconds, "values": len(values), "notes": list(notes)}
+    return {"title": title, "done": done is not None} | found
 
 
 MAX_FOLDER_LENGTH = 121
@@ -499,6 +487,8 @@ class CommissioningService:
         """End the process of a commissioning; the step under way is done again when it is resumed."""
         wanted = asked.text("name", MAX_FOLDER_LENGTH)
         asked.once()
+        from bench.commissioning.commissioning import commissioning_process
+
         process = commissioning_process(self._shelf.folder(wanted))
         if process is None:
             expected = "a running commissioning"

@@ -18,27 +18,39 @@ MIN_PREFIX_LENGTH = 4
 
 
 def answer(
-    store: CampaignStore, data_dir: Path, campaign: str, by: str, now: datetime, balls: int | None = None
+    store: CampaignStore,
+    data_dir: Path,
+    campaign: str,
+    by: str,
+    now: datetime,
+    balls: int | None = None,
+    *,
+    number: int | None = None,
 ) -> tuple[str, bool]:
     """Confirm the work that `campaign` requests; return its prompt, and whether a runner waits for it.
 
-    `balls` is the number of loaded balls, to be checked; None: as listed.
+    `balls` is the number of loaded balls, to be checked; None: as listed. `number` is that of the prompt;
+    None: the open one.
 
     Raises:
         Refused: no prompt is open, it requires another number of balls, or its runner has not granted access.
     """
-    prompts, running = store.prompts(store.entry(campaign).id), is_running(data_dir, campaign)
-    standing = store.standing(campaign)
-    waits = standing.state is CampaignState.WAITING and prompts and standing.reason == prompts[-1].text
-    if balls is not None and prompts and prompts[-1].answered is None:
-        prompts[-1].require_count(balls)
-    if running and not waits and prompts and prompts[-1].answered is None:
-        found = f"no access yet: {standing.reason or standing.state}"
-        raise Refused(f"campaign {campaign}", found, "an unlocked guard", "Answer once the prompt is shown.")
-    if (running and not waits) or not prompts or not store.answer(campaign, prompts[-1].number, by, now):
-        location, expected = f"campaign {campaign}", "a prompt that waits for an answer"
+    location, running = f"campaign {campaign}", is_running(data_dir, store.entry(campaign).id)
+    prompt = next((one for one in store.prompts(campaign)[-1:] if one.answered is None), None)
+    if number is not None and (prompt is None or prompt.number != number):
+        found = "this prompt does not wait any more"
+        raise Refused(location, found, "the prompt that waits", "Read the present prompt.")
+    if prompt is not None:
+        if balls is not None:
+            prompt.require_count(balls)
+        standing = store.standing(campaign)
+        if running and (standing.state is not CampaignState.WAITING or standing.reason != prompt.text):
+            found = f"no access yet: {standing.reason or standing.state}"
+            raise Refused(location, found, "an unlocked guard", "Answer once the prompt is shown.")
+    if prompt is None or not store.answer(campaign, prompt.number, by, now):
+        expected = "a prompt that waits for an answer"
         raise Refused(location, "no open prompt", expected, "See golfbench campaign list.")
-    return prompts[-1].text, running
+    return prompt.text, running
 
 
 def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: str = "") -> str:

@@ -89,7 +89,6 @@ SWING = {
 }
 STEP = {"title": "t", "done": True, "seconds": 1.0, "values": 2, "notes": ["n"]}
 COMMISSIONING = {
-    "steps": [{"title": "t", "bounds": "b"}],
     "robots": ["r"],
     "folder": "f",
     "commissionings": [

@@ -23,7 +23,7 @@ from bench.records.telemetry.ring import RingWriter
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.rows import CampaignState, Prompt
-from bench.web.campaign_service import CampaignArchive, RunningCampaigns
+from bench.web.campaign_service import CampaignArchive
 from bench.web.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from tests.bench.campaign.report.test_campaign_report import NOW, _record
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
@@ -229,15 +229,14 @@ def test_running_campaigns_read_changed_details_only(
         return detail(name)
 
     monkeypatch.setattr(archive, "detail", noted)
-    running = RunningCampaigns(archive)
     message = {"campaign": OPEN, "shots": 1, "state": "running", "reason": ""}
     for _ in range(2):
-        assert running.view([message])[0]["detail"]["campaign"] == OPEN
+        assert archive.running([message])[0]["detail"]["campaign"] == OPEN
     assert read == [OPEN]
-    elsewhere = running.view([message | {"shots": 2}, message | {"campaign": "elsewhere"}])
+    elsewhere = archive.running([message | {"shots": 2}, message | {"campaign": "elsewhere"}])
     assert elsewhere[1]["detail"] is None
     assert read == [OPEN, OPEN, "elsewhere"]
-    assert running.view([]) == []
+    assert archive.running([]) == []
 
 
 def test_campaign_archive_without_database_is_empty(tmp_path: Path) -> None:

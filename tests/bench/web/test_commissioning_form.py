@@ -70,10 +70,10 @@ def asked(page: RunningPage, path: str, **content: Any) -> tuple[int, Any]:
 def test_commissioning_store_shows_steps_notes_and_faults(tmp_path: Path) -> None:
     shelf = CommissioningStore(tmp_path, "bench1")
     assert shelf.view()["commissionings"] == []
-    assert [one["title"] for one in shelf.view()["steps"]] == [step.title for step in ALL_STEPS]
     stored(tmp_path, "first-day", done=2, wrong=True)
     (one,) = shelf.view()["commissionings"]
     assert (one["name"], one["done"], one["robot"], one["process"]) == ("first-day", 2, "other", None)
+    assert [step["title"] for step in one["steps"]] == [step.title for step in ALL_STEPS]
     assert [step["done"] for step in one["steps"]] == [True, True, *[False] * 7]
     assert one["steps"][0]["notes"] == [SCRIPT]
     assert one["wrong"]["action"] == "Fit the hose."
