@@ -15,3 +15,11 @@ def wait_until(holds: Callable[[], bool], longest: float = HURRY) -> None:
     while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.005)
+
+
+def until(holds: Callable[[], object], longest: float = 60.0, words: Callable[[], object] = str) -> None:
+    """Return once `holds` does; fail after `longest` s, which a busy machine may take, with `words`."""
+    deadline = time.monotonic() + longest
+    while not holds():
+        assert time.monotonic() < deadline, words()
+        time.sleep(0.01)

@@ -11,11 +11,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.metadata import version
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import psutil
 import pytest
@@ -23,8 +24,9 @@ import pytest
 from bench.base.address import free_port
 from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
 from bench.base.interrupt import Terminated
-from bench.commands.cli import accept_any_text, command_line, main
+from bench.commands.cli import accept_any_text, command_line
 from drivers.base import DriverError
+from tests.bench.commands.conftest import Outcome, Run
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 
 TOP = Path(__file__).resolve().parents[3]
@@ -46,37 +48,18 @@ UNSAFE = Refused("hook.toml follow_through", "78 J at the stop", "at most 40 J",
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    """Run a command that raises the given error, and return the exit code."""
+def failing(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run a command that raises the given error."""
 
-    def run(error: BaseException, *arguments: str) -> int:
-        def fail(*_: object) -> None:
-            raise error
+    def fail(error: BaseException, *arguments: str) -> Outcome:
+        monkeypatch.setattr("bench.commands.machine.doctor_bench.all_probes", Mock(side_effect=error))
+        return run(*arguments, "doctor")
 
-        monkeypatch.setattr("bench.commands.machine.doctor_bench.all_probes", fail)
-        with pytest.raises(SystemExit) as end:
-            main([*arguments, "doctor"])
-        assert isinstance(end.value.code, int)
-        return end.value.code
-
-    return run
+    return fail
 
 
-@pytest.fixture
-def ended(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    """Run a command line in this process; return the exit code, and what stands on both outputs."""
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as end:
-            main(arguments)
-        assert isinstance(end.value.code, int)
-        return end.value.code, *capsys.readouterr()
-
-    return run
-
-
-def test_help_lists_commands_and_exit_codes(ended: Callable[..., tuple[int, str, str]]) -> None:
-    exit_code, out, _ = ended("--help")
+def test_help_lists_commands_and_exit_codes(run: Run) -> None:
+    exit_code, out, _ = run("--help")
     assert exit_code == 0
     assert "doctor" in out
     for code in ExitCode:
@@ -165,20 +148,15 @@ def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
         yield from _pages(below, *path, name)
 
 
-each_page = pytest.mark.parametrize(
+@pytest.mark.parametrize(
     ("path", "command"), [pytest.param(*page, id=" ".join(page[0])) for page in _pages(command_line())]
 )
-
-
-@each_page
-def test_help_page_shows_complete_texts(
-    path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_help_page_shows_complete_texts_and_each_option(
+    path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     """Brackets are style tags to the library that prints it: "Where to [default: here]." lost its default."""
     monkeypatch.setenv("COLUMNS", "400")
-    with pytest.raises(SystemExit):
-        main([*path, "--help"])
-    shown = capsys.readouterr().out
+    shown = run(*path, "--help").out
     texts = [command.help or "", *(getattr(parameter, "help", "") for parameter in command.params)]
     texts += [text for p in command.params if isinstance(text := getattr(p, "show_default", ""), str)]
     for text in texts:
@@ -187,34 +165,24 @@ def test_help_page_shows_complete_texts(
     assert not re.search(r" \.(\s|$)", shown)
     assert "<bool>" not in shown, "a flag takes no value"
     assert "[[" not in shown
-
-
-@each_page
-def test_help_page_of_80_columns_has_each_option(
-    path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    with pytest.raises(SystemExit):
-        main([*path, "--help"])
-    shown = capsys.readouterr().out
+    shown = run(*path, "--help").out
     assert [name for p in command.params for name in p.opts if name[0] == "-" and name not in shown] == []
 
 
-def test_version_option_prints_package_version(ended: Callable[..., tuple[int, str, str]]) -> None:
-    assert ended("--version")[1] == f"golfbench {version('golfbench')}\n"
+def test_version_option_prints_package_version(run: Run) -> None:
+    assert run("--version")[1] == f"golfbench {version('golfbench')}\n"
 
 
 @pytest.mark.parametrize("arguments", [["dcotor"], ["doctor", "--jsno"], ["--config"], []])
-def test_cli_wrong_usage_exits_with_2(
-    arguments: list[str], ended: Callable[..., tuple[int, str, str]]
-) -> None:
-    code, _, err = ended(*arguments)
+def test_cli_wrong_usage_exits_with_2(arguments: list[str], run: Run) -> None:
+    code, _, err = run(*arguments)
     assert code == ExitCode.BAD_INPUT
     assert "Traceback" not in err
 
 
-def test_cli_wrong_choice_lists_choices_alone(ended: Callable[..., tuple[int, str, str]]) -> None:
-    _, _, err = ended("export", "--format", "parquet", "a")
+def test_cli_wrong_choice_lists_choices_alone(run: Run) -> None:
+    _, _, err = run("export", "--format", "parquet", "a")
     assert "is not one of 'csv'" in err
     assert "Value error" not in err
 
@@ -245,6 +213,11 @@ def test_shell_completion_completes_command_name() -> None:
             74,
             ["error: swing.toml\n", "found:    No such file", "Check path"],
         ),
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            74,
+            ["error: standard output or a file\n  found:    No space left on device\n"],
+        ),
         (ZeroDivisionError("1/0"), 70, ["error: internal error", "ZeroDivisionError: 1/0", "--debug"]),
         (KeyboardInterrupt(), 130, []),
         (Terminated(), 143, []),
@@ -254,13 +227,12 @@ def test_main_error_prints_action_and_exit_code_without_traceback(
     error: BaseException,
     code: int,
     texts: list[str],
-    run: Callable[..., int],
-    capsys: pytest.CaptureFixture[str],
+    failing: Run,
 ) -> None:
-    assert run(error) == code
-    shown = capsys.readouterr().err
-    assert [text for text in texts if text not in shown] == []
-    assert "Traceback" not in shown
+    answer = failing(error)
+    assert answer.code == code
+    assert [text for text in texts if text not in answer.err] == []
+    assert "Traceback" not in answer.err
 
 
 @pytest.mark.parametrize("line", [("schema",), ("profile", "list"), ("profile", "list", "--json")])
@@ -279,36 +251,33 @@ def test_main_closed_pipe_ends_quietly_with_file_code(line: tuple[str, ...], err
     assert process.returncode == ExitCode.FILE
 
 
-def test_main_error_for_programs_prints_json_lines(
-    run: Callable[..., int], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_main_error_for_programs_prints_json_lines(failing: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOR_PROGRAMS, "json")
-    assert run(ExceptionGroup("config.toml", [BAD_PRESSURE, BAD_KEY])) == ExitCode.BAD_INPUT
-    printed = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
-    assert printed == [BAD_PRESSURE.record(), BAD_KEY.record()]
-    assert run(NotADirectoryError(20, "Not a directory", "data")) == ExitCode.FILE
-    assert json.loads(capsys.readouterr().err)["location"] == "data"
-    assert run(DriverError("canopen: no such link")) == ExitCode.DEVICE
-    assert json.loads(capsys.readouterr().err)["found"] == "canopen: no such link"
-    assert run(ZeroDivisionError("1/0")) == ExitCode.INTERNAL
-    assert json.loads(capsys.readouterr().err)["location"] == "internal error"
+    code, _, err = failing(ExceptionGroup("config.toml", [BAD_PRESSURE, BAD_KEY]))
+    assert code == ExitCode.BAD_INPUT
+    assert [json.loads(line) for line in err.splitlines()] == [BAD_PRESSURE.record(), BAD_KEY.record()]
+    for error, expected, key, value in (
+        (NotADirectoryError(20, "Not a directory", "data"), ExitCode.FILE, "location", "data"),
+        (DriverError("canopen: no link"), ExitCode.DEVICE, "found", "canopen: no link"),
+        (ZeroDivisionError("1/0"), ExitCode.INTERNAL, "location", "internal error"),
+    ):
+        code, _, err = failing(error)
+        assert (code, json.loads(err)[key]) == (expected, value)
 
 
 @pytest.mark.parametrize("arguments", [[], ["nonsense"], ["arm", "--nonsense"], ["campaign", "run"]])
 def test_main_usage_error_for_programs_is_json_line(
-    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    arguments: list[str], run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(FOR_PROGRAMS, "json")
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == ExitCode.BAD_INPUT
-    fault = json.loads(capsys.readouterr().err)
+    code, _, err = run(*arguments)
+    fault = json.loads(err)
+    assert code == ExitCode.BAD_INPUT
     assert (fault["location"], bool(fault["found"])) == ("command line", True)
 
 
-def test_debug_option_prints_traceback(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(ZeroDivisionError("1/0"), "--debug") == ExitCode.INTERNAL
-    assert "Traceback (most recent call last)" in capsys.readouterr().err
+def test_debug_option_prints_traceback(failing: Run) -> None:
+    assert "Traceback (most recent call last)" in failing(ZeroDivisionError("1/0"), "--debug").err
 
 
 def test_bench_error_pickle_keeps_type_and_text() -> None:
@@ -320,27 +289,15 @@ def test_bench_error_pickle_keeps_type_and_text() -> None:
     )
 
 
-def test_main_full_disk_exits_with_file_code(
-    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(OSError(errno.ENOSPC, "No space left on device")) == ExitCode.FILE
-    assert (
-        "error: standard output or a file\n  found:    No space left on device\n" in capsys.readouterr().err
-    )
-
-
 def test_main_deleted_working_directory_is_reported(
-    run: Callable[..., int],
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    failing: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
     monkeypatch.chdir(gone)
     gone.rmdir()
-    assert run(FileNotFoundError(errno.ENOENT, "No such file or directory")) == ExitCode.FILE
-    assert "working directory\n  found:    it was deleted" in capsys.readouterr().err
+    code, _, err = failing(FileNotFoundError(errno.ENOENT, "No such file or directory"))
+    assert (code, "working directory\n  found:    it was deleted" in err) == (ExitCode.FILE, True)
 
 
 @pytest.mark.parametrize("name", ["sim/__init__.py", "drivers/__init__.py", "sim.py"])
@@ -398,21 +355,19 @@ main()
     ],
 )
 def test_cli_dash_as_file_is_refused(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == ExitCode.BAD_INPUT
-    assert "found:    '-'" in capsys.readouterr().err
+    code, _, err = run(*arguments)
+    assert (code, "found:    '-'" in err) == (ExitCode.BAD_INPUT, True)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_cli_path_of_file_called_dash_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cli_path_of_file_called_dash_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
+) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main(["nodes", "--dbc", "./-"])
-    assert ended.value.code == 0
+    assert run("nodes", "--dbc", "./-").code == 0
     assert (tmp_path / "-").is_file()
 
 

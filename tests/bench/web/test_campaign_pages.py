@@ -30,6 +30,7 @@ from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, run
 from tests.bench.web.conftest import publishing
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
 from tests.benchmarks.campaign_statistics import Truth
+from tests.waiting import until
 
 RECORDS = Path(__file__).parents[2] / "replay"
 SCRIPT = "<script>alert(1)</script>"
@@ -322,10 +323,7 @@ def test_swing_reader_running_swing_keeps_waiting_record(
     reader.offer(RECORDS / "swing.parquet")
     reader.offer_ring(tmp_path / "ring", running=True)
     reader.start()
-    deadline = time.monotonic() + HURRY
-    while not shown:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: shown)
     reader.close()
     assert shown[0]["stored"]
 

@@ -9,7 +9,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +22,7 @@ from bench.config import Configuration
 from bench.web.start_service import CommissioningStore
 from tests.bench.web.noting_program import NotingProgram
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
+from tests.waiting import until
 
 SCRIPT = "<script>alert(1)</script>"
 DAY = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
@@ -160,7 +160,7 @@ def test_commissioning_page_check_and_start_run_command(
         assert following("commissioner") == {"what": "first-day", "running": True, "text": ""}
         status, content = asked(page, "start", robot="", resume="")
         assert (status, "no other" in content["what"]) == (409, True)
-        wait_for(lambda: len(program.asked) == 2)
+        until(lambda: len(program.asked) == 2)
         given = ["commission", "--sim", f"--output={first}", f"--robot={robots / 'other.toml'}", "--resume"]
         assert program.asked[1] == given
         program.note("fail")
@@ -227,10 +227,3 @@ def test_commissioning_page_invalid_request_starts_nothing(
         assert status in (400, 409)
         assert SCRIPT not in json.dumps(answer)
     assert program.asked == []
-
-
-def wait_for(holds: Any) -> None:
-    deadline = time.monotonic() + HURRY
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)

@@ -14,6 +14,7 @@ from bench.web.last_swing import SwingReader
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.bench.web.conftest import publishing
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
+from tests.waiting import until
 
 NAMES = ("index.html", "page.css", "main.js", "operate.js", "icon.svg")
 
@@ -25,10 +26,7 @@ def begin(running: RunningPlane) -> Iterator[None]:
     running.service.requests.clear()
     running.service.stops.clear()
     yield
-    deadline = time.monotonic() + HURRY
-    while running.plane.lease() is not None:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: running.plane.lease() is None)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -145,10 +143,7 @@ def test_page_stop_overtakes_waiting_command(running: RunningPlane, page: Runnin
         headers = page.own() | {"golfbench-ticket": ticket}
         body = f'{{"number": "waiting-1", "seen": {time.monotonic()}}}'
         connection.request("POST", "/api/command/reset", body, headers)
-        deadline = time.monotonic() + HURRY
-        while not running.service.requests:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        until(lambda: running.service.requests)
         assert page.post("/api/stop/stop", {}).status == 200
         assert len(running.service.stops) == 1
     finally:

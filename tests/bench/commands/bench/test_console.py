@@ -11,7 +11,7 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from io import StringIO
 from pathlib import Path
@@ -45,17 +45,11 @@ from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.running_bench import running_bench, write_configuration
+from tests.waiting import until
 
 F8 = b"\x1b[19~"
 LONGEST = 60.0
 """s that a step may take on a busy machine."""
-
-
-def until(holds: Callable[[], object]) -> None:
-    deadline = time.monotonic() + LONGEST
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 @pytest.fixture

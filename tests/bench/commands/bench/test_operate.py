@@ -10,10 +10,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import cast
 
 import pytest
 from rich.console import Console
@@ -22,22 +22,13 @@ from bench.base.address import free_port
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.commands.bench.status_table import status_table
-from bench.commands.cli import main
 from bench.network.bench_service import CauseStatus, CommandAnswer, LaunchMonitorStatus
 from bench.network.client import REST
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.supervisor.status import NO_LAUNCH_MONITOR
+from tests.bench.commands.conftest import Outcome, Run
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
-
-
-class Outcome(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Golfbench = Callable[..., Outcome]
 
 
 @pytest.fixture
@@ -46,35 +37,22 @@ def port() -> int:
 
 
 @pytest.fixture
-def golfbench(
-    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Golfbench:
+def golfbench(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> Run:
     """Run a command line for the bench at `port`, as a user with a separate login session."""
     configuration = tmp_path / "bench.toml"
     configuration.write_text(f'base = "shipped"\n[network]\nendpoint = "tcp/127.0.0.1:{port}"\n')
     monkeypatch.setenv("GOLFBENCH_CONFIG", str(configuration))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
-
-    def run(*arguments: str) -> Outcome:
-        with pytest.raises(SystemExit) as end:
-            main(arguments)
-        out, err = capsys.readouterr()
-        code = end.value.code
-        assert isinstance(code, int)
-        return Outcome(int(code), out, err)
-
     return run
 
 
 @pytest.fixture
-def running(port: int, golfbench: Golfbench) -> Iterator[RunningPlane]:
+def running(port: int, golfbench: Run) -> Iterator[RunningPlane]:
     with running_plane(FakeDesk(), loopback_configuration(port)) as running:
         yield running
 
 
-def test_operate_commands_lease_to_release_print_each_state(
-    running: RunningPlane, golfbench: Golfbench
-) -> None:
+def test_operate_commands_lease_to_release_print_each_state(running: RunningPlane, golfbench: Run) -> None:
     taken = golfbench("lease", "take", "--holder", "Ann", "--seconds", "60")
     assert taken.out.startswith("bench bench1: Ann holds it for 60 s; each command renews it")
     day = [
@@ -98,7 +76,7 @@ def test_operate_commands_lease_to_release_print_each_state(
     assert running.plane.counts()["refused"] == 0
 
 
-def test_arm_wait_returns_armed_and_at_rest(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_arm_wait_returns_armed_and_at_rest(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take")
     golfbench("reset")
     ready = "bench bench1: READY. Vented and homed. Next: golfbench arm --wait\n"
@@ -110,7 +88,7 @@ def test_arm_wait_returns_armed_and_at_rest(running: RunningPlane, golfbench: Go
     assert golfbench("swing").code == 0
 
 
-def test_swing_command_prints_delivery_launch_and_carry(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_swing_command_prints_delivery_launch_and_carry(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take")
     running.service.state = State.ARMED
     swung = golfbench("swing")
@@ -124,7 +102,7 @@ def test_swing_command_prints_delivery_launch_and_carry(running: RunningPlane, g
 
 
 def test_swing_command_without_record_is_refused_after_timeout(
-    running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
+    running: RunningPlane, golfbench: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take")
     running.service.state, running.service.publish_shot = State.ARMED, lambda message: None
@@ -133,7 +111,7 @@ def test_swing_command_without_record_is_refused_after_timeout(
     assert "no record within 1 s" in err
 
 
-def test_swing_command_stopped_swing_exits_with_1(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_swing_command_stopped_swing_exits_with_1(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take")
     publish = running.service.publish_shot
     row = Shot(1, 1, 1, "driver", "default", ShotStatus.FAILED, "stopped by the operator")
@@ -156,7 +134,7 @@ def test_swing_command_stopped_swing_exits_with_1(running: RunningPlane, golfben
     ],
 )
 def test_swing_command_refused_names_action_of_state(
-    running: RunningPlane, golfbench: Golfbench, state: State, action: str
+    running: RunningPlane, golfbench: Run, state: State, action: str
 ) -> None:
     golfbench("lease", "take")
     running.service.state = state
@@ -166,7 +144,7 @@ def test_swing_command_refused_names_action_of_state(
     assert running.service.requests == []
 
 
-def test_swing_command_disarmed_reports_cause(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_swing_command_disarmed_reports_cause(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take")
     running.service.state, running.service.cause = State.READY, Cause.LEASE
     _, _, err = golfbench("swing")
@@ -175,7 +153,7 @@ def test_swing_command_disarmed_reports_cause(running: RunningPlane, golfbench: 
 
 
 def test_home_wait_ctrl_c_reports_robot_continues(
-    running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
+    running: RunningPlane, golfbench: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take")
     running.service.state = State.SAFE
@@ -191,7 +169,7 @@ def test_home_wait_ctrl_c_reports_robot_continues(
     monkeypatch.undo()
 
 
-def test_stop_command_moving_robot_prints_final_state(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_stop_command_moving_robot_prints_final_state(running: RunningPlane, golfbench: Run) -> None:
     """The stop is taken in the state before; the robot brakes first."""
     service = running.service
     service.state = State.HOMING
@@ -209,7 +187,7 @@ def test_stop_command_moving_robot_prints_final_state(running: RunningPlane, gol
     assert last.endswith("Next: golfbench reset")
 
 
-def test_arm_wait_not_at_rest_renews_lease_and_times_out(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_arm_wait_not_at_rest_renews_lease_and_times_out(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take", "--seconds", "5")
     running.service.state, running.service.armed_phase = State.READY, "RETURN"
     code, _, err = golfbench("arm", "--wait", "--timeout", "6")
@@ -221,7 +199,7 @@ def test_arm_wait_not_at_rest_renews_lease_and_times_out(running: RunningPlane, 
     assert golfbench("disarm").code == 0
 
 
-def test_arm_wait_fault_ends_wait(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_arm_wait_fault_ends_wait(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take")
     running.service.state, running.service.armed_phase = State.READY, "RETURN"
 
@@ -239,9 +217,7 @@ def test_arm_wait_fault_ends_wait(running: RunningPlane, golfbench: Golfbench) -
     assert "action:   Reset to begin. Next: golfbench reset." in err
 
 
-def test_stop_command_past_no_return_reports_latched_stop(
-    running: RunningPlane, golfbench: Golfbench
-) -> None:
+def test_stop_command_past_no_return_reports_latched_stop(running: RunningPlane, golfbench: Run) -> None:
     service, status = running.service, running.service.status
     service.state = State.SWINGING
     service.status = lambda: status() | {"reaction": "COMPLETE"}  # type: ignore[method-assign]
@@ -256,7 +232,7 @@ def test_stop_command_past_no_return_reports_latched_stop(
 
 
 def test_access_with_latched_cause_first_reports_unlocked_guard(
-    running: RunningPlane, golfbench: Golfbench
+    running: RunningPlane, golfbench: Run
 ) -> None:
     status, latched = running.service.status, CauseStatus(name="RESTART", text="unclean", action="")
     running.service.status = lambda: status() | {"cause": latched}  # type: ignore[method-assign]
@@ -265,9 +241,7 @@ def test_access_with_latched_cause_first_reports_unlocked_guard(
     assert golfbench("access").out == expected
 
 
-def test_access_end_without_access_reports_expected_guard(
-    running: RunningPlane, golfbench: Golfbench
-) -> None:
+def test_access_end_without_access_reports_expected_guard(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take")
     running.service.refuse = Refusal.STATE
     err = golfbench("access", "--end").err
@@ -276,7 +250,7 @@ def test_access_end_without_access_reports_expected_guard(
 
 
 @pytest.mark.parametrize("state", [State.SAFE, State.READY])
-def test_disarm_at_rest_is_done_already(running: RunningPlane, golfbench: Golfbench, state: State) -> None:
+def test_disarm_at_rest_is_done_already(running: RunningPlane, golfbench: Run, state: State) -> None:
     running.service.state = state
     assert golfbench("disarm") == Outcome(0, f"bench bench1: {state.name}. Disarmed already.\n", "")
     running.service.state = State.ESTOP
@@ -285,14 +259,14 @@ def test_disarm_at_rest_is_done_already(running: RunningPlane, golfbench: Golfbe
 
 @pytest.mark.parametrize("line", ["home", "access"])
 def test_command_for_disarmed_robot_in_armed_suggests_disarm(
-    running: RunningPlane, golfbench: Golfbench, line: str
+    running: RunningPlane, golfbench: Run, line: str
 ) -> None:
     golfbench("lease", "take")
     running.service.state = State.ARMED
     assert golfbench(line).err.endswith("action:   Disarm first. Next: golfbench disarm.\n")
 
 
-def test_operate_command_renews_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_operate_command_renews_lease(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take")
     before = running.plane.lease()
     golfbench("reset")
@@ -302,9 +276,7 @@ def test_operate_command_renews_lease(running: RunningPlane, golfbench: Golfbenc
     assert after.expiry > before.expiry
 
 
-def test_stop_and_estop_commands_without_lease_are_accepted(
-    running: RunningPlane, golfbench: Golfbench
-) -> None:
+def test_stop_and_estop_commands_without_lease_are_accepted(running: RunningPlane, golfbench: Run) -> None:
     told = "bench bench1: FAULT. The bench was switched on. Next: golfbench reset\n"
     assert golfbench("stop") == Outcome(0, told, "")
     code, out, _ = golfbench("estop")
@@ -314,7 +286,7 @@ def test_stop_and_estop_commands_without_lease_are_accepted(
 
 
 def test_arm_command_refused_exits_with_1_and_prints_state_and_reason(
-    running: RunningPlane, golfbench: Golfbench
+    running: RunningPlane, golfbench: Run
 ) -> None:
     golfbench("lease", "take")
     code, out, err = golfbench("arm")
@@ -327,7 +299,7 @@ def test_arm_command_refused_exits_with_1_and_prints_state_and_reason(
     )
 
 
-def test_operate_commands_without_lease_are_refused(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_operate_commands_without_lease_are_refused(running: RunningPlane, golfbench: Run) -> None:
     for line in ("home", "arm", "access", "access --end", "tee", "reset", "lease renew", "lease release"):
         code, _, err = golfbench(*line.split())
         assert code == ExitCode.REFUSED
@@ -336,7 +308,7 @@ def test_operate_commands_without_lease_are_refused(running: RunningPlane, golfb
 
 
 def test_access_end_during_campaign_names_campaign_to_answer(
-    running: RunningPlane, golfbench: Golfbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    running: RunningPlane, golfbench: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take", "--holder", "campaign c7")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "other"))
@@ -345,9 +317,7 @@ def test_access_end_during_campaign_names_campaign_to_answer(
     assert "Answer the campaign's prompt: golfbench campaign answer c7." in err
 
 
-def test_swing_command_not_armed_or_without_lease_is_refused(
-    running: RunningPlane, golfbench: Golfbench
-) -> None:
+def test_swing_command_not_armed_or_without_lease_is_refused(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take")
     running.service.state = State.READY
     code, _, err = golfbench("swing")
@@ -363,7 +333,7 @@ def test_swing_command_not_armed_or_without_lease_is_refused(
 
 @pytest.mark.parametrize("words", ["list", "check default", "--no-wait show", "-- --help"])
 def test_swing_command_extra_argument_is_refused_without_request(
-    running: RunningPlane, golfbench: Golfbench, words: str
+    running: RunningPlane, golfbench: Run, words: str
 ) -> None:
     golfbench("lease", "take")
     running.service.state = State.ARMED
@@ -374,7 +344,7 @@ def test_swing_command_extra_argument_is_refused_without_request(
 
 
 def test_lease_take_second_user_is_refused_with_holder(
-    running: RunningPlane, golfbench: Golfbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    running: RunningPlane, golfbench: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take", "--holder", "Ann")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "other"))
@@ -385,7 +355,7 @@ def test_lease_take_second_user_is_refused_with_holder(
     assert json.loads(golfbench("lease", "show", "--json").out)["holder"] == "Ann"
 
 
-def test_lease_take_by_holder_renews_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_lease_take_by_holder_renews_lease(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take", "--holder", "Ann")
     first = running.plane.lease()
     again = golfbench("lease", "take", "--holder", "Ann", "--seconds", "90")
@@ -398,7 +368,7 @@ def test_lease_take_by_holder_renews_lease(running: RunningPlane, golfbench: Gol
     assert golfbench("lease", "renew").out == "bench bench1: held for 90 s more\n"
 
 
-def test_lease_of_earlier_bench_run_is_invalid(port: int, golfbench: Golfbench) -> None:
+def test_lease_of_earlier_bench_run_is_invalid(port: int, golfbench: Run) -> None:
     with running_plane(FakeDesk(), loopback_configuration(port)):
         golfbench("lease", "take")
     with running_plane(FakeDesk(), loopback_configuration(port)):
@@ -410,12 +380,12 @@ def test_lease_of_earlier_bench_run_is_invalid(port: int, golfbench: Golfbench) 
 
 
 @pytest.mark.parametrize("seconds", ["4", "601", "x"])
-def test_lease_take_invalid_seconds_is_refused(seconds: str, golfbench: Golfbench) -> None:
+def test_lease_take_invalid_seconds_is_refused(seconds: str, golfbench: Run) -> None:
     assert golfbench("lease", "take", "--seconds", seconds).code == ExitCode.BAD_INPUT
 
 
 @pytest.mark.parametrize("line", ["status", "home", "stop", "estop", "swing", "lease take", "lease show"])
-def test_operate_command_without_bench_exits_no_answer(line: str, golfbench: Golfbench) -> None:
+def test_operate_command_without_bench_exits_no_answer(line: str, golfbench: Run) -> None:
     code, _, err = golfbench(*line.split())
     assert code == ExitCode.NO_ANSWER
     assert "no answer: denied or not running" in err
@@ -426,7 +396,7 @@ def test_operate_command_without_bench_exits_no_answer(line: str, golfbench: Gol
 # Status ----------------------------------------------------------------------------------------------
 
 
-def test_status_command_json_has_state_lease_and_joints(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_status_command_json_has_state_lease_and_joints(running: RunningPlane, golfbench: Run) -> None:
     golfbench("lease", "take", "--holder", "Ann")
     status = json.loads(golfbench("status", "--json").out)
     assert status["state"] == "ESTOP"
@@ -497,7 +467,7 @@ def test_status_table_old_status_shows_silent() -> None:
 
 @pytest.mark.live
 @pytest.mark.paced
-def test_status_watch_prints_state_changes_until_ctrl_c(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_status_watch_prints_state_changes_until_ctrl_c(running: RunningPlane, golfbench: Run) -> None:
     environment = os.environ | {"COLUMNS": "80", "PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-m", "bench", "status", "--watch", "--json"]
     watch = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)

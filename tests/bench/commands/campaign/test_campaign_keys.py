@@ -9,7 +9,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -29,6 +29,7 @@ from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.rows import MAX_COMMENT_LENGTH, CampaignState, ShotNote
+from tests.waiting import until
 
 NOW = datetime(2026, 11, 23, 12, 0, tzinfo=UTC)
 
@@ -90,12 +91,6 @@ class Desk:
     def echoes(self) -> bool:
         return bool(termios.tcgetattr(self.terminal)[3] & termios.ECHO)
 
-    def until(self, holds: Callable[[], object]) -> None:
-        deadline = time.monotonic() + 10.0
-        while not holds():
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-
 
 @pytest.fixture
 def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
@@ -119,32 +114,32 @@ def test_mark_keys_terminal_without_echo_restores_echo(service: Desk) -> None:
     left[3] &= ~(termios.ICANON | termios.ECHO)
     termios.tcsetattr(service.terminal, termios.TCSANOW, left)
     with keys_of(service) as keys:
-        service.until(lambda: keys._before is not None)
+        until(lambda: keys._before is not None)
         assert not service.echoes()
         keys.pause()
         assert service.echoes(), "a prompt reads lines"
         keys.resume()
-        service.until(lambda: not service.echoes())
+        until(lambda: not service.echoes())
     assert service.echoes()
     assert termios.tcgetattr(service.terminal)[3] & termios.ICANON
 
 
 def test_mark_keys_store_mark_after_shot_is_stored(service: Desk) -> None:
     with keys_of(service) as keys:
-        service.until(lambda: not service.echoes())
+        until(lambda: not service.echoes())
         service.progress["last_shot"] = {"shot": 3}
         os.write(service.master, b"ma gust\r")
-        service.until(lambda: service.out.getvalue() or not service.notes)
+        until(lambda: service.out.getvalue() or not service.notes)
         assert service.notes == []
         service.stored = 3
-        service.until(lambda: service.notes)
+        until(lambda: service.notes)
         keys.pause()
         assert service.echoes(), "a prompt reads lines"
         keys.mark("typed at a prompt")
         keys.resume()
-        service.until(lambda: len(service.notes) == 2 and not service.echoes())
+        until(lambda: len(service.notes) == 2 and not service.echoes())
         os.write(service.master, b"mhalf of i")
-        service.until(lambda: "half of i" in keys._line.shown)
+        until(lambda: "half of i" in keys._line.shown)
     assert service.echoes()
     assert [(mark.shot, mark.by, mark.text) for mark in service.notes] == [
         (3, "ann", "a gust"),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from math import pi, radians
 from pathlib import Path
 from shutil import rmtree
@@ -18,7 +18,6 @@ import pytest
 from bench.base.errors import ExitCode, Refused
 from bench.base.lifecycle import Phase, State
 from bench.calibration.calibration import standing_counts
-from bench.commands.cli import main
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.encoder_preset import write_shifts
 from bench.records.telemetry.ring import NoRing, RingWriter
@@ -26,8 +25,7 @@ from bench.supervisor.ownership import bench_folder
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import fly
-
-Answer = tuple[int, str, str]
+from tests.bench.commands.conftest import Run
 
 BALL = ["ball", "--x", "0.2503", "--y", "-1.5602", "--uncertainty-mm", "0.5"]
 CLUB = [
@@ -38,22 +36,12 @@ POSE = ["encoders", "--uncertainty-deg", "0.02", "--from-pose", "-30", "237", "3
 
 
 @pytest.fixture
-def golfbench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
-    """Return a function that runs a command in an empty folder and gives code, output and errors."""
+def golfbench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> Run:
+    """Return a function that runs a command of a bench with an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     (tmp_path / "mine.toml").write_text('base = "shipped"\n[bench]\nid = "testbench"\n', encoding="utf-8")
-
-    def run(*arguments: str) -> Answer:
-        with pytest.raises(SystemExit) as end:
-            main(["--config", "mine.toml", *arguments])
-        output = capsys.readouterr()
-        return int(end.value.code or 0), output.out, output.err
-
-    return run
-
-
-Run = Callable[..., Answer]
+    return partial(run, "--config", "mine.toml")
 
 
 def test_calibrate_list_new_bench_shows_nominal_without_data_folder(golfbench: Run, tmp_path: Path) -> None:

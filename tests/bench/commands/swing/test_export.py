@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.commands.cli import main
 from bench.commands.swing.records import Format, planned_exports
 from bench.records.telemetry.record_file import write_swing
+from tests.bench.commands.conftest import Run
 
 
 @pytest.fixture
@@ -22,15 +22,9 @@ def records(tmp_path: Path, make_swing: Callable[[int], np.ndarray[Any, Any]]) -
     return folder
 
 
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return int(ended.value.code or 0)
-
-
 @pytest.mark.parametrize("kind", Format)
-def test_export_folder_writes_each_record(kind: Format, records: Path, tmp_path: Path) -> None:
-    assert run("export", records, "--format", kind, "--output", tmp_path / "out") == ExitCode.OK
+def test_export_folder_writes_each_record(kind: Format, records: Path, tmp_path: Path, run: Run) -> None:
+    assert run("export", records, "--format", kind, "--output", tmp_path / "out").code == ExitCode.OK
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {f"001.{kind}", f"002.{kind}"} <= names
 
@@ -42,15 +36,14 @@ def test_planned_one_record_uses_same_folder_or_output(records: Path, tmp_path: 
     assert planned_exports([one], Format.MAT, records, False) == [(one, records / "001.mat")]
 
 
-def test_export_existing_file_is_refused_without_force(
-    records: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_existing_file_is_refused_without_force(records: Path, tmp_path: Path, run: Run) -> None:
     target = tmp_path / "x.mat"
     target.write_text("mine")
-    assert run("export", records / "001.parquet", "--format", "mat", "--output", target) == ExitCode.REFUSED
+    command = ("export", records / "001.parquet", "--format", "mat", "--output", target)
+    code, _, err = run(*command)
+    assert (code, "--force" in err) == (ExitCode.REFUSED, True)
     assert target.read_text() == "mine"
-    assert "--force" in capsys.readouterr().err
-    assert run("export", records / "001.parquet", "--format", "mat", "--output", target, "--force") == 0
+    assert run(*command, "--force").code == 0
     assert target.read_bytes()[:6] == b"MATLAB"
 
 
@@ -63,17 +56,19 @@ def test_planned_colliding_targets_are_refused(records: Path, tmp_path: Path) ->
         planned_exports([records / "001.parquet"], Format.CSV, None, False)
 
 
+@pytest.mark.parametrize(
+    ("name", "kind", "told"),
+    [
+        ("x.parquet", "csv", "unreadable"),
+        ("y.parquet", "csv", "no such file"),
+        ("", "xls", "not one of"),
+        ("empty", "csv", "empty"),
+    ],
+)
 def test_export_invalid_record_or_format_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, kind: str, told: str, tmp_path: Path, run: Run
 ) -> None:
     (tmp_path / "x.parquet").write_text("nothing")
-    assert run("export", tmp_path / "x.parquet", "--format", "csv") == ExitCode.BAD_INPUT
-    assert run("export", tmp_path / "y.parquet", "--format", "csv") == ExitCode.BAD_INPUT
-    assert run("export", tmp_path, "--format", "xls") == ExitCode.BAD_INPUT
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    assert run("export", empty, "--format", "csv") == ExitCode.BAD_INPUT
-    told = capsys.readouterr().err
-    assert "unreadable" in told
-    assert "no such file" in told
-    assert "Traceback" not in told
+    (tmp_path / "empty").mkdir()
+    answer = run("export", tmp_path / name, "--format", kind)
+    assert (answer.code, told in answer.words) == (ExitCode.BAD_INPUT, True)

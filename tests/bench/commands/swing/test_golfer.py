@@ -11,19 +11,12 @@ import numpy as np
 import pytest
 
 from bench.base.errors import BenchError
-from bench.commands.cli import main
 from bench.golfer.golfer_file import load_golfer
 from bench.swing.golfers import GOLFERS
+from tests.bench.commands.conftest import Run
 from tests.bench.golfer.synthetic import BALL, MAP, Synthetic, angles, write
 
 BODY = "\n".join(line for line in MAP.splitlines() if not line.startswith(("grip", "head")))
-
-
-def _run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    out, err = capsys.readouterr()
-    return int(ended.value.code or 0), out, err
 
 
 @pytest.fixture
@@ -38,17 +31,15 @@ def _import(recording: Path, *more: str) -> list[str]:
     return ["golfer", "import", str(recording), "--markers", f"{folder}/map.toml", "--output", folder, *more]
 
 
-def _json(recording: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
-    code, out, err = _run(_import(recording, "--json", *more), capsys)
+def _json(recording: Path, run: Run, *more: str) -> dict[str, Any]:
+    code, out, err = run(*_import(recording, "--json", *more))
     assert (code, err) == (0, "")
     found: dict[str, Any] = json.loads(out)
     return found
 
 
-def test_golfer_import_writes_loadable_file_with_true_angles(
-    recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    found = _json(recording, capsys, "--name", "Anna 7")
+def test_golfer_import_writes_loadable_file_with_true_angles(recording: Path, run: Run) -> None:
+    found = _json(recording, run, "--name", "Anna 7")
 
     assert found["golfer"] == str(recording.with_name("Anna 7.golfer.toml"))
     assert found["source_sha256"] == sha256(recording.read_bytes()).hexdigest()
@@ -66,12 +57,10 @@ def test_golfer_import_writes_loadable_file_with_true_angles(
     assert golfer.head[-1] == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
-def test_golfer_import_prints_figures_and_limits_and_plots(
-    recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_golfer_import_prints_figures_and_limits_and_plots(recording: Path, run: Run) -> None:
     plot = recording.with_name("swing.png")
 
-    code, out, _ = _run(_import(recording, "--plot", str(plot)), capsys)
+    code, out, _ = run(*_import(recording, "--plot", str(plot)))
 
     assert code == 0
     for text in (
@@ -85,25 +74,21 @@ def test_golfer_import_prints_figures_and_limits_and_plots(
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-def test_golfer_import_without_club_markers_has_no_wrist(
-    recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_golfer_import_without_club_markers_has_no_wrist(recording: Path, run: Run) -> None:
     recording.with_name("map.toml").write_text(BODY)
 
-    found = _json(recording, capsys)
+    found = _json(recording, run)
 
     assert found["theta_top_deg"][2] is found["theta_ball_deg"][2] is found["head_speed_mps"] is None
     assert found["beyond_machine"]["wrist_rad"] is None
     assert np.isnan(load_golfer(Path(found["golfer"])).head_speed)
 
 
-def test_golfer_import_recording_without_impact_writes_no_file(
-    recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_golfer_import_recording_without_impact_writes_no_file(recording: Path, run: Run) -> None:
     lines = recording.read_text().splitlines()
     recording.write_text("\n".join(lines[:300]))
 
-    code, out, err = _run(_import(recording), capsys)
+    code, out, err = run(*_import(recording))
 
     assert (code, out) == (2, "")
     assert "no impact" in " ".join(err.split())
@@ -123,20 +108,16 @@ def test_golfer_import_recording_without_impact_writes_no_file(
     ],
     ids=" ".join,
 )
-def test_golfer_import_invalid_option_is_refused(
-    option: tuple[str, str], recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, _, err = _run(_import(recording, *option), capsys)
+def test_golfer_import_invalid_option_is_refused(option: tuple[str, str], recording: Path, run: Run) -> None:
+    code, _, err = run(*_import(recording, *option))
 
     assert code == 2
     assert option[0] in err
 
 
 @pytest.mark.parametrize("change", ["table", "digest", "schema", "missing table"])
-def test_load_golfer_damaged_file_is_refused(
-    change: str, recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = Path(_json(recording, capsys)["golfer"])
+def test_load_golfer_damaged_file_is_refused(change: str, recording: Path, run: Run) -> None:
+    path = Path(_json(recording, run)["golfer"])
     table = path.with_name("swing.golfer.parquet")
     if change == "table":
         table.write_bytes(table.read_bytes()[:-1])
@@ -152,19 +133,17 @@ def test_load_golfer_damaged_file_is_refused(
     assert "golfbench golfer import" in refused.value.action
 
 
-def test_golfer_compare_prints_deviation_definition_and_reference(
-    recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    golfer = _json(recording, capsys)["golfer"]
+def test_golfer_compare_prints_deviation_definition_and_reference(recording: Path, run: Run) -> None:
+    golfer = _json(recording, run)["golfer"]
     plot = recording.with_name("compared.png")
 
-    code, out, _ = _run(["golfer", "compare", golfer, golfer, "tour-male", "--plot", str(plot)], capsys)
+    code, out, _ = run("golfer", "compare", golfer, golfer, "tour-male", "--plot", str(plot))
 
     assert code == 0
     for text in ("swing, measured", "tour-male, robot", "0.0 % 0.0°", "9.6 %", "Root mean square", "Beyond"):
         assert text in out
     assert plot.read_bytes().startswith(b"\x89PNG")
-    code, out, _ = _run(["golfer", "compare", golfer, "tour-male", "--json"], capsys)
+    code, out, _ = run("golfer", "compare", golfer, "tour-male", "--json")
     (found,) = json.loads(out)
     assert (found["reference"]["source"], found["swing"]["name"]) == ("measured", "tour-male")
     assert set(found["deviation"]) == {"shoulder", "arm", "wrist", "head"}
@@ -173,9 +152,9 @@ def test_golfer_compare_prints_deviation_definition_and_reference(
 
 
 def test_golfer_compare_without_swings_compares_each_built_in_golfer(
-    capsys: pytest.CaptureFixture[str],
+    run: Run,
 ) -> None:
-    code, out, _ = _run(["--config", "golfers", "golfer", "compare", "--json"], capsys)
+    code, out, _ = run("--config", "golfers", "golfer", "compare", "--json")
 
     assert code == 0
     found = json.loads(out)

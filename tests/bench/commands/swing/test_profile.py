@@ -7,13 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.base.errors import BenchError, ExitCode
-from bench.commands.cli import main
 from bench.commands.swing import learn
 from bench.config import load_configuration
 from bench.design.designer import DesignFailed
@@ -21,26 +20,16 @@ from bench.golfer.comparison import compare_motions, golfer_motion, robot_motion
 from bench.swing import library
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import Profile, as_written, load_profile, save_profile
+from tests.bench.commands.conftest import Run
 from tests.bench.golfer.synthetic import golfer_swing
-
-
-class Answer(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Answer]
 
 SHIPPED = load_profile(find_profile("driver-85mph"))
 IRON = find_profile("iron7-78mph")
 
 
-@pytest.fixture
-def run(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, slow_swing: Profile
-) -> Run:
-    """Return a function that runs golfbench in a folder with `slow.toml`, which is also its library."""
+@pytest.fixture(autouse=True)
+def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, slow_swing: Profile) -> None:
+    """Run golfbench in a folder with `slow.toml`, which is also its library."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(library, "PROFILES", tmp_path / "profiles")
@@ -53,15 +42,6 @@ def run(
         "[plant.site]\nground = -1.8\n"
     )
     (tmp_path / "bad.toml").write_text('base = "shipped"\n[plant]\nwrist_levr = 0.06\n[air]\nhumid = 1\n')
-
-    def run(*arguments: str) -> Answer:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as end:
-            main(list(arguments))
-        assert isinstance(end.value.code, int)
-        return Answer(end.value.code, *capsys.readouterr())
-
-    return run
 
 
 def test_check_command_lists_checked_items(run: Run) -> None:
@@ -249,21 +229,8 @@ def test_profile_design_saves_profile_and_prints_delivery(
 
     monkeypatch.setattr("bench.design.designer.design_swing", made)
     path = tmp_path / "fast.toml"
-    answer = run(
-        "--config",
-        "mine.toml",
-        "profile",
-        "design",
-        str(path),
-        "--golfer",
-        "tour-female",
-        "--margin",
-        "20",
-        "--from",
-        "nothing",
-        "--downswing",
-        "0.24",
-    )
+    options = "--golfer tour-female --margin 20 --from nothing --downswing 0.24"
+    answer = run("--config", "mine.toml", "profile", "design", path, *options.split())
     assert answer.code == 0, answer.err
     ((_, demand, name), named) = asked[0]
     assert demand.downswing_time == pytest.approx((0.236, 0.244))
