@@ -7,7 +7,7 @@ import json
 import os
 import socket
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from math import isfinite
@@ -199,11 +199,28 @@ def sweep_engine(configuration: Configuration, processes: int, cluster: str, cas
         yield engine
 
 
-def plain_table(*columns: str, right: Collection[str] = (), title: str | None = None, **style: Any) -> Table:
-    """Return a table with a rule below its head; the columns in `right` are of numbers."""
+def show_result(json_: bool, content: Any, *shown: Any) -> None:
+    """Print `content` as JSON for a program, or `shown` for people: texts and tables."""
+    if json_:
+        return show_json(content)
+    console = Console()
+    for one in shown:
+        console.print(one, highlight=False)
+
+
+def plain_table(
+    *columns: str,
+    rows: Iterable[Iterable[Any]] = (),
+    right: Collection[str] = (),
+    title: str | None = None,
+    **style: Any,
+) -> Table:
+    """Return a table of `rows` with a rule below its head; the columns in `right` are of numbers."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title=title, **style)
     for column in columns:
         table.add_column(column, justify="right" if column in right else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 

@@ -52,12 +52,12 @@ if TYPE_CHECKING:
 
 
 def state_view(status: BenchStatus) -> dict[str, Any]:
-    """Return `status` as the page shows it, valid as JSON."""
+    """Return `status`, valid as JSON, with what the page shows in other words."""
     state = State[status["state"]]
     chambers = status["chamber_pressure_pa"]
     sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)
     return {
-        "state": state.name,
+        **status,
         "tone": _tone(state, vented=status["vented"]),
         "words": state_words(status),
         "next": next_step(status),
@@ -74,7 +74,6 @@ def state_view(status: BenchStatus) -> dict[str, Any]:
         "shut_off": shut_off_words(status["shut_off_open"]),
         "warnings": warning_texts(status),
         "accepts": accepted_commands(state),
-        **{name: status[name] for name in _UNCHANGED},  # type: ignore[literal-required]
     }
 
 
@@ -90,26 +89,6 @@ def _tone(state: State, *, vented: bool) -> str:
     if state in MOVING:
         return "moving"
     return "ready" if state is State.READY and vented else "rest"
-
-
-_UNCHANGED = (
-    "bench",
-    "tick",
-    "time",
-    "lease",
-    "supply_pressure_pa",
-    "loop",
-    "swings",
-    "profile",
-    "correction",
-    "club",
-    "series",
-    "driver",
-    "ball_present",
-    "vented",
-    "guard_closed",
-    "uptime",
-)
 
 
 def accepted_commands(state: State) -> list[str]:

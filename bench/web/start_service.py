@@ -22,7 +22,8 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from ipaddress import ip_address
-from itertools import takewhile
+from itertools import groupby, islice, takewhile
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -262,14 +263,9 @@ _LEFT_OUT = frozenset({"sequence", "loads", "outlook"})
 
 def _order(sequence: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the shot order by block: its section, number, and the shots as role, swing, club, ball."""
-    found: list[dict[str, Any]] = []
-    for trial in sequence:
-        if not found or (found[-1]["section"], found[-1]["block"]) != (trial["section"], trial["block"]):
-            if len(found) == MAX_BLOCKS:
-                break
-            found.append({"section": trial["section"], "block": trial["block"], "shots": []})
-        found[-1]["shots"].append([trial[key] for key in ("role", "swing", "club", "ball")])
-    return found
+    shot = itemgetter("role", "swing", "club", "ball")
+    blocks = islice(groupby(sequence, itemgetter("section", "block")), MAX_BLOCKS)
+    return [{"section": at[0], "block": at[1], "shots": [*map(shot, trials)]} for at, trials in blocks]
 
 
 MAX_NOTE_LENGTH = 200

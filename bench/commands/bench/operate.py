@@ -208,7 +208,6 @@ def take_lease(
 ) -> None:
     """Take the lease; the commands that follow use and renew it."""
     from bench.network.client import CommandRefused
-    from bench.network.lease import DEFAULT_SECONDS
 
     name = holder or user_name()
     with _client(context) as bench, _stored_lease(bench) as file:
@@ -224,7 +223,7 @@ def take_lease(
                 file.write(replace(kept, sequence=kept.sequence + _MIN_MARGIN))
                 typer.echo(f"bench {bench.bench}: {name} holds it for {left:g} s more")
                 return
-        held = bench.take_lease(name, DEFAULT_SECONDS if seconds is None else seconds)
+        held = bench.take_lease(name, seconds or DEFAULT_SECONDS)
         file.write(held)
         typer.echo(
             f"bench {bench.bench}: {name} holds it for {held.seconds:g} s; each command renews it, "
@@ -254,13 +253,11 @@ def show_lease(context: typer.Context, json_: Json = False) -> None:
     with _client(context) as bench:
         held = bench.status()["lease"]
         if json_:
-            show_json(held)
-        elif held is None:
-            typer.echo(f"bench {bench.bench}: lease not held")
-        else:
-            typer.echo(
-                f"bench {bench.bench}: {held['holder']} holds it for {held['seconds_left']:.0f} s more"
-            )
+            return show_json(held)
+        words = (
+            f"{held['holder']} holds it for {held['seconds_left']:.0f} s more" if held else "lease not held"
+        )
+        typer.echo(f"bench {bench.bench}: {words}")
 
 
 def lease_folder(environment: Mapping[str, str], home: Path) -> Path:

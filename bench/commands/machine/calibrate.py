@@ -103,12 +103,9 @@ def encoders(
     known = _known_zeros(configuration)
     sign = sign or known.sign
     if (zero_counts is None) == (from_pose is None) or (counts is not None and from_pose is None):
-        raise BenchError(
-            "calibrate encoders",
-            "--zero-counts and --from-pose" if zero_counts and from_pose else "no measurement",
-            "--zero-counts, or --from-pose with or without --counts",
-            "Give one of the two.",
-        )
+        found = "--zero-counts and --from-pose" if zero_counts and from_pose else "no measurement"
+        expected = "--zero-counts, or --from-pose with or without --counts"
+        raise BenchError("calibrate encoders", found, expected, "Give one of the two.")
     if from_pose is not None:
         method = method or "locked at the mechanical reference, counts " + ("entered" if counts else "read")
         zero_counts = _zeros_at(configuration, from_pose, counts, sign)
@@ -226,12 +223,11 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
         records = [entry.record() for entry in entries]
         records += [{"kind": "aerodynamics", "subject": e.subject, **e.record()} for e in balls]
         return show_json(records)
+    nominal = f"bench {bench.id} was never calibrated: all values are nominal values of the configuration"
     if entries:
         Console().print(listing(entries, calibration_of(configuration, now), now))
     else:
-        typer.echo(
-            f"bench {bench.id} was never calibrated: all values are nominal values of the configuration"
-        )
+        typer.echo(nominal)
     for one in sorted(balls, key=lambda one: one.subject):
         typer.echo(f"aerodynamics of {one.subject}: {one.text}")
 
@@ -255,16 +251,15 @@ def show(context: typer.Context, json_: Json = False) -> None:
         problems.append(str(error))
     if configuration.is_machine:
         problems += map(str, filter(None, (outdated(one, configuration) for one in replaced)))
+    texts = [one.text for one in replaced]
     if json_:
-        show_json(calibration.record() | {"problems": problems, "replaced": [one.text for one in replaced]})
+        show_json(calibration.record() | {"problems": problems, "replaced": texts})
     else:
         console = Console()
         console.print(f"bench {calibration.bench}, club {calibration.club}", highlight=False)
         console.print(overview(calibration, now))
-        for one in replaced:
-            console.print(Text(one.text), soft_wrap=True)
-        for problem in problems:
-            console.print(Text(f"arming blocked: {problem}", "red"), soft_wrap=True)
+        for text in (*texts, *(Text(f"arming blocked: {problem}", "red") for problem in problems)):
+            console.print(text, soft_wrap=True, markup=False, highlight=False)
     exit_unless(not problems)
 
 
@@ -303,9 +298,9 @@ def _known_zeros(configuration: Configuration) -> EncoderZeros | Encoders:
     from bench.calibration.calibration import CalibrationKind, EncoderZeros, precedes_commissioning
 
     entry = calibration_of(configuration, datetime.now(UTC)).of(CalibrationKind.ENCODERS)
-    if entry is None or precedes_commissioning(entry, configuration):
-        return configuration.plant.encoders
-    return entry.values if isinstance(entry.values, EncoderZeros) else configuration.plant.encoders
+    if entry and isinstance(entry.values, EncoderZeros) and not precedes_commissioning(entry, configuration):
+        return entry.values
+    return configuration.plant.encoders
 
 
 def _zeros_at(c: Configuration, pose: Three, counts: Whole | None, sign: Whole) -> Three:
@@ -544,20 +539,15 @@ def _fitted(
     from bench.calibration.ball_aerodynamics import fit_aerodynamics
     from bench.calibration.flight_table import read_flights
 
-    table = read_flights(flights, points)
+    table, size = read_flights(flights, points), {"mass": ball.mass, "radius": ball.radius}
     for note in table.notes:
         typer.echo(f"Not used, {flights}: {note}", err=True)
     try:
-        return fit_aerodynamics(
-            ball.name, table.flights, scatter, calibration, mass=ball.mass, radius=ball.radius
-        )
+        return fit_aerodynamics(ball.name, table.flights, scatter, calibration, **size)
     except ValueError as error:
-        raise BenchError(
-            str(flights),
-            str(error),
-            "flights that determine drag and lift",
-            "Measure more of them; check the table's notes and the stated scatter.",
-        ) from None
+        expected = "flights that determine drag and lift"
+        action = "Measure more of them; check the table's notes and the stated scatter."
+        raise BenchError(str(flights), str(error), expected, action) from None
 
 
 def _uncertainty(option: str, given: Sequence[str], default: Mapping[str, float]) -> FlightUncertainty:
@@ -590,10 +580,6 @@ def _day(text: str | None) -> datetime:
         day = None
     tomorrow = now.date() + timedelta(days=1)  # it may be tomorrow east of here
     if day is None or not _FIRST_DAY <= day.date() <= tomorrow:
-        raise BenchError(
-            "calibrate aerodynamics: --measured",
-            repr(text),
-            f"a day from {_FIRST_DAY} to today, {now:%Y-%m-%d}",
-            "Give the day of the measurement as --measured YYYY-MM-DD.",
-        )
+        location, action = "calibrate aerodynamics: --measured", "Give the day as --measured YYYY-MM-DD."
+        raise BenchError(location, repr(text), f"a day from {_FIRST_DAY} to today, {now:%Y-%m-%d}", action)
     return min(day, now)

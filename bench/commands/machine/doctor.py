@@ -19,7 +19,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -79,13 +78,6 @@ class CheckStatus(StrEnum):
     MISSING = "missing"
 
 
-_STYLES = {
-    (status, required): "green" if status is CheckStatus.OK else "red" if required else "yellow"
-    for status in CheckStatus
-    for required in (False, True)
-}
-
-
 class ItemResult(NamedTuple):
     """Result of a check."""
 
@@ -135,6 +127,11 @@ def usable(findings: Sequence[Finding]) -> bool:
     return not any(finding.required and finding.status is CheckStatus.MISSING for finding in findings)
 
 
+def count(findings: Sequence[Finding]) -> dict[CheckStatus, int]:
+    """Return the number of findings of each status."""
+    return {status: sum(f.status is status for f in findings) for status in CheckStatus}
+
+
 def report(findings: Sequence[Finding]) -> dict[str, Any]:
     """Return the findings as a JSON document."""
     return {
@@ -142,7 +139,7 @@ def report(findings: Sequence[Finding]) -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "usable": usable(findings),
-        "count": {status: sum(f.status is status for f in findings) for status in CheckStatus},
+        "count": count(findings),
         "findings": [finding._asdict() for finding in findings],
     }
 
@@ -153,12 +150,13 @@ def table(findings: Sequence[Finding]) -> Group:
     for group, members in itertools.groupby(findings, key=lambda finding: finding.group):
         rows.add_row(Text(group, "bold"))
         for finding in members:
-            status = Text(finding.status, _STYLES[finding.status, finding.required])
+            gap = "red" if finding.required else "yellow"
+            status = Text(finding.status, "green" if finding.status is CheckStatus.OK else gap)
             rows.add_row(Text(f"  {finding.item}"), status, Text(finding.value), Text(finding.advice))
         rows.add_section()
-    count = ", ".join(f"{sum(f.status is status for f in findings)} {status}" for status in CheckStatus)
+    counts = ", ".join(f"{number} {status}" for status, number in count(findings).items())
     verdict = "the simulation runs here" if usable(findings) else "golfbench cannot run here"
-    return Group(rows, Text(f"{verdict}: {count}", "bold"))
+    return Group(rows, Text(f"{verdict}: {counts}", "bold"))
 
 
 def probes(data_dir: Path) -> tuple[Probe, ...]:
@@ -170,10 +168,9 @@ def probes(data_dir: Path) -> tuple[Probe, ...]:
         Probe("machine", "virtual machine", virtual_machine),
         Probe("machine", "memory", memory),
         Probe("machine", "data folder", functools.partial(data_folder, data_dir), required=True),
-        *package_probes(),
         Probe("packages", "compiled code", compiled_code),
         Probe("packages", "Kalman filter", kalman_filter, required=True),
-        *extra_probes(),
+        *package_probes(),
         *realtime_probes(),
         Probe("CAN", "SocketCAN", socketcan),
         Probe("CAN", "attached interfaces", can_channels),
@@ -202,11 +199,11 @@ def kernel() -> ItemResult:
 
 def processors() -> ItemResult:
     """Count the processors this process may use."""
-    count = len(os.sched_getaffinity(0))
+    available = len(os.sched_getaffinity(0))
     isolated = small_text("/sys/devices/system/cpu/isolated")
     governor = small_text("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-    value = f"{count}" + (f", isolated: {isolated}" if isolated else "")
-    if count < 2:
+    value = f"{available}" + (f", isolated: {isolated}" if isolated else "")
+    if available < 2:
         return limited(value, "the loop and the rest share one: give it two or more")
     if governor == "powersave":
         advice = "clock rises late under load: cpupower frequency-set -g performance"
@@ -248,25 +245,25 @@ def data_folder(data_dir: Path) -> ItemResult:
 
 
 def package_probes() -> Iterator[Probe]:
-    """Return one item for each package golfbench requires, as its own metadata names them."""
+    """Return one item for each package golfbench requires by its metadata, and for each of its EXTRAS."""
     try:
-        lines = importlib.metadata.requires("golfbench") or ()
+        requirements = [Requirement(line) for line in importlib.metadata.requires("golfbench") or ()]
     except importlib.metadata.PackageNotFoundError as error:
         found = f"{type(error).__name__}: {error}"
         outcome = missing(found, "install golfbench: `make demo`, or `pip install -e .`")
         yield Probe("packages", "golfbench", lambda: outcome, required=True)
         return
-    for requirement in map(Requirement, lines):
-        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
-            yield Probe("packages", requirement.name, functools.partial(package, requirement), required=True)
+    for one in requirements:
+        if one.marker is None or one.marker.evaluate({"extra": ""}):
+            yield Probe("packages", one.name, functools.partial(package, one), required=True)
+    for extra in EXTRAS:
+        yield Probe("extras", extra, functools.partial(extra_packages, extra, requirements))
 
 
 def package(requirement: Requirement) -> ItemResult:
     """Look whether a required distribution is installed in a version that is allowed, and can be imported."""
     name, action = requirement.name, "install what constraints.txt pins: `make clean demo`"
-    try:
-        version = importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
+    if (version := installed_version(name)) is None:
         return missing("not installed", action)
     try:  # a wheel for another processor ends the process with SIGILL
         _run("-c", f"import {_MODULES.get(name, name.replace('-', '_'))}")
@@ -277,12 +274,12 @@ def package(requirement: Requirement) -> ItemResult:
     return ok(version)
 
 
-def extra_probes() -> Iterator[Probe]:
-    """Return one item for each extra in EXTRAS; nothing else needs it."""
-    with suppress(importlib.metadata.PackageNotFoundError):  # which `package_probes` reports
-        requirements = [Requirement(line) for line in importlib.metadata.requires("golfbench") or ()]
-        for extra in EXTRAS:
-            yield Probe("extras", extra, functools.partial(extra_packages, extra, requirements))
+def installed_version(name: str) -> str | None:
+    """Return the version of distribution `name`; None if it is not installed."""
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def extra_packages(extra: str, requirements: Sequence[Requirement]) -> ItemResult:
@@ -290,13 +287,9 @@ def extra_packages(extra: str, requirements: Sequence[Requirement]) -> ItemResul
     versions, absent = list[str](), list[str]()
     for one in requirements:
         if one.marker and one.marker.evaluate({"extra": extra}) and not one.marker.evaluate({"extra": ""}):
-            try:
-                version = importlib.metadata.version(one.name)
-            except importlib.metadata.PackageNotFoundError:
-                absent.append(f"no {one.name}")
-                continue
-            fits = one.specifier.contains(version, prereleases=True)
-            (versions if fits else absent).append(f"{one.name} {version}")
+            version = installed_version(one.name)
+            fits = version is not None and one.specifier.contains(version, prereleases=True)
+            (versions if fits else absent).append(f"{one.name} {version}" if version else f"no {one.name}")
     action = f'for {EXTRAS[extra]}: pip install "golfbench[{extra}]"'
     if absent or not versions:
         return missing(", ".join(absent) or "not known to this installation", action)
@@ -305,7 +298,7 @@ def extra_packages(extra: str, requirements: Sequence[Requirement]) -> ItemResul
 
 def compiled_code() -> ItemResult:
     """Look whether compiled code can be kept, and whether it already is."""
-    found = json.loads(_child("cache"))
+    found = _child("cache")
     folder, functions = Path(found["folder"]), found["functions"]
     if not os.access(nearest_entry(folder), os.W_OK | os.X_OK):
         return limited(
@@ -318,7 +311,7 @@ def compiled_code() -> ItemResult:
 
 def kalman_filter() -> ItemResult:
     """Compare the estimator as compiled for this processor with filterpy's filter."""
-    difference = json.loads(_child("filter"))["difference_rad_per_s"]
+    difference = _child("filter")
     if not difference < MAX_FILTER_DIFFERENCE:  # also NaN
         found = f"velocities differ by {difference:.1e} rad/s from those of filterpy"
         return missing(found, "delete the folder of compiled code; if that is no help, use another machine")
@@ -330,11 +323,7 @@ def kalman_filter() -> ItemResult:
 
 def realtime_probes() -> Iterator[Probe]:
     """Yield the checks of real time; the first one tries all settings of the loop in a child process."""
-
-    @functools.cache
-    def granted() -> dict[str, Any]:
-        answer: dict[str, Any] = json.loads(_child("realtime"))
-        return answer
+    granted = functools.cache(lambda: _child("realtime"))
 
     def setting(name: str) -> ItemResult:
         found = granted()["settings"][name]
@@ -447,8 +436,7 @@ def socketcan() -> ItemResult:
 
 def can_channels() -> ItemResult:
     """Look for adapters with separate drivers, through python-can."""
-    channels = json.loads(_child("can"))
-    if channels:
+    if channels := _child("can"):
         return ok(", ".join(channels))
     return missing("none", "not needed for simulation; for hardware attach an adapter and install its driver")
 
@@ -458,7 +446,7 @@ def can_channels() -> ItemResult:
 
 def daq_cards() -> ItemResult:
     """Look for the package nidaqmx, for NI's own driver that it needs, and for cards."""
-    found = json.loads(_child("daq"))
+    found = _child("daq")
     if not found["package"]:
         return missing(
             "no package nidaqmx",
@@ -477,8 +465,9 @@ def daq_cards() -> ItemResult:
     return ok(f"{driver}: {', '.join(found['cards'])}")
 
 
-def _child(question: str) -> str:
-    return _run("-m", "bench.commands.machine.doctor", question)
+def _child(question: str) -> Any:
+    """Return the answer of this module as a program."""
+    return json.loads(_run("-m", "bench.commands.machine.doctor", question))
 
 
 def _run(*arguments: str) -> str:
@@ -517,14 +506,9 @@ def _realtime() -> dict[str, Any]:
     """Return the real-time settings the kernel grants, and the wake-up latency (us) under them."""
     with real_time("prefer") as granted:
         late = wake_up_latencies()
-    quantiles = {"p50_us": 0.5, "p99_us": 0.99, "max_us": 1.0}
-    return {
-        **granted,
-        "latency": {
-            name: round(late[min(int(q * len(late)), len(late) - 1)] * 1e6, 1)
-            for name, q in quantiles.items()
-        },
-    }
+    places = {"p50_us": len(late) // 2, "p99_us": int(0.99 * len(late)), "max_us": -1}
+    latency = {name: round(late[place] * 1e6, 1) for name, place in places.items()}
+    return {**granted, "latency": latency}
 
 
 def _can_channels() -> list[str]:
@@ -571,10 +555,10 @@ def _compiled_code() -> dict[str, Any]:
     return {"folder": str(folder), "functions": sum(kept.values()) if kept["bench.control.step"] else 0}
 
 
-def _filter_difference() -> dict[str, float]:
+def _filter_difference() -> float:
     from bench.control.estimate.reference_filter import velocity_difference
 
-    return {"difference_rad_per_s": velocity_difference()}
+    return velocity_difference()
 
 
 _QUESTIONS: dict[str, Callable[[], Any]] = {

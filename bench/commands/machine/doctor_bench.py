@@ -55,7 +55,8 @@ def doctor(context: typer.Context, json_: Json = False) -> None:
     With hardware in the configuration also its CAN link, interrupt thread and core.
     Exits with 1 if something is missing that the simulation needs.
     """
-    planned = all_probes(context.ensure_object(Session).configuration())
+    configuration = context.ensure_object(Session).configuration()
+    planned = (*probes(configuration.bench.data_dir), *bench_probes(configuration))
     findings = []
     with progress_bar() as progress:
         task = progress.add_task(f"examining {planned[0].group}", total=len(planned))
@@ -67,11 +68,6 @@ def doctor(context: typer.Context, json_: Json = False) -> None:
     else:
         Console().print(table(findings))
     exit_unless(usable(findings))
-
-
-def all_probes(configuration: Configuration) -> tuple[Probe, ...]:
-    """Return what to look at for the machine and for the bench of `configuration`."""
-    return (*probes(configuration.bench.data_dir), *bench_probes(configuration))
 
 
 def bench_probes(
@@ -91,7 +87,7 @@ def bench_probes(
             set_up = f"ip link set {link} up type can bitrate {configuration.canopen.bitrate} restart-ms 100"
             advice = f"attach the card, load its driver, then {set_up}; or correct canopen.channel"
             return (*found, Probe("this bench", link, lambda: missing("no such link", advice)))
-        said = cache(partial(_link, link, ask or _ip))
+        said: Callable[[], Any] = cache(lambda: json.loads((ask or _ip)(link))[0])
         found += [
             Probe("this bench", f"{link}: bit timing", lambda: bit_timing(configuration.canopen, said())),
             Probe("this bench", f"{link}: errors", lambda: errors(link, said(), root)),
@@ -226,13 +222,6 @@ def _interrupt_threads(channel: str, root: Path) -> Iterator[tuple[int, int, int
 def _info(link: Mapping[str, Any]) -> Mapping[str, Any]:
     found: Mapping[str, Any] = link.get("linkinfo", {}).get("info_data", {})
     return found
-
-
-def _link(channel: str, ask: Ask) -> Mapping[str, Any]:
-    """Return what `ip` says of the link; raises if there is none."""
-    (found,) = json.loads(ask(channel))
-    link: Mapping[str, Any] = found
-    return link
 
 
 def _ip(channel: str) -> str:

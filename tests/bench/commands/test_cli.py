@@ -52,7 +52,7 @@ def failing(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
     """Run a command that raises the given error."""
 
     def fail(error: BaseException, *arguments: str) -> Outcome:
-        monkeypatch.setattr("bench.commands.machine.doctor_bench.all_probes", Mock(side_effect=error))
+        monkeypatch.setattr("bench.commands.machine.doctor_bench.probes", Mock(side_effect=error))
         return run(*arguments, "doctor")
 
     return fail

@@ -179,7 +179,7 @@ def test_doctor_compiled_code_reports_cold_warm_and_read_only_cache(
 def test_doctor_kalman_filter_other_than_filterpy_is_not_usable(
     monkeypatch: pytest.MonkeyPatch, difference: float
 ) -> None:
-    monkeypatch.setattr(doctor, "_child", lambda _: json.dumps({"difference_rad_per_s": difference}))
+    monkeypatch.setattr(doctor, "_child", lambda _: difference)
     (probe,) = (one for one in doctor.probes(Path()) if one.item == "Kalman filter")
     findings = [*doctor.examine([probe])]
     assert findings[0].status is CheckStatus.MISSING
@@ -268,7 +268,7 @@ SETTINGS = ("SCHED_FIFO", "memory lock", "timer slack", "idle states")
 
 
 def _realtime(monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]) -> dict[str, Finding]:
-    monkeypatch.setattr(doctor, "_child", lambda _: json.dumps(answer))
+    monkeypatch.setattr(doctor, "_child", lambda _: answer)
     return {finding.item: finding for finding in doctor.examine(list(doctor.realtime_probes()))}
 
 
@@ -419,7 +419,7 @@ def test_doctor_socketcan_without_can_interface_is_limited(
 def test_doctor_can_channels_none_is_missing(
     channels: list[str], status: CheckStatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(doctor, "_child", lambda _: json.dumps(channels))
+    monkeypatch.setattr(doctor, "_child", lambda _: channels)
     assert doctor.can_channels().status is status
 
 
@@ -440,8 +440,7 @@ def test_doctor_daq_cards_report_missing_part_with_advice(
     found: list[object], status: CheckStatus, value: str, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ("package", "runtime", "cards", "fault")
-    answer = json.dumps(dict(zip(names, found, strict=True)))
-    monkeypatch.setattr(doctor, "_child", lambda question: answer if question == "daq" else "")
+    monkeypatch.setattr(doctor, "_child", lambda _: dict(zip(names, found, strict=True)))
     outcome = doctor.daq_cards()
     assert outcome.status is status
     assert value in outcome.value
