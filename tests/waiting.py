@@ -17,9 +17,16 @@ def wait_until(holds: Callable[[], bool], longest: float = HURRY) -> None:
         time.sleep(0.005)
 
 
-def until(holds: Callable[[], object], longest: float = 60.0, words: Callable[[], object] = str) -> None:
-    """Return once `holds` does; fail after `longest` s, which a busy machine may take, with `words`."""
+def until(
+    holds: Callable[[], object],
+    longest: float = 60.0,
+    *,
+    words: Callable[[], object] = str,
+    nudge: Callable[[], object] = str,
+) -> None:
+    """Return once `holds` does, with a `nudge` after each vain look; fail after `longest` s with `words`."""
     deadline = time.monotonic() + longest
     while not holds():
         assert time.monotonic() < deadline, words()
+        nudge()
         time.sleep(0.01)

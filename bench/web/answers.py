@@ -124,11 +124,7 @@ def text_in(body: dict[str, Any], name: str, longest: int, shortest: int = 1) ->
 
 
 def number_in(body: dict[str, Any], name: str) -> float:
-    """Return the finite number `name` of `body`.
-
-    Raises:
-        InvalidBody: it is missing or no such number.
-    """
+    """Return the finite number `name` of `body`; raises InvalidBody: it is missing or no such number."""
     value = body.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e15:
         raise InvalidBody(f"{name}: a number")

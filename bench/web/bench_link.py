@@ -284,11 +284,7 @@ class PageBroadcaster:
 
     @contextmanager
     def reader(self) -> Iterator[PageReader]:
-        """Yield a reader with the newest messages.
-
-        Raises:
-            TooManyReaders: MAX_READERS are served.
-        """
+        """Yield a reader with the newest messages; raises TooManyReaders: MAX_READERS are served."""
         if len(self._readers) >= MAX_READERS:
             raise TooManyReaders
         with self._lock:

@@ -31,15 +31,23 @@ from bench.web.last_swing import swing_view
 
 MAX_LISTED = 50
 """Max number of listed campaigns."""
+STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
 REQUESTS = {"pause": "pause", "stop": "stop", "abort": "abort", "resume": ""}
 """Requests to a campaign's runner, by their name on the page."""
 
 
-class CampaignArchive:
-    """The campaigns of one bench on this machine."""
+class CampaignService:
+    """Campaigns, reports and records of one bench on this machine."""
 
-    def __init__(self, configuration: Configuration) -> None:
+    def __init__(
+        self,
+        configuration: Configuration,
+        downloads: Downloads,
+        golfbench: CommandLine,
+        runner: BackgroundCommand,
+    ) -> None:
         bench = configuration.bench
+        self._downloads, self._golfbench, self._runner = downloads, golfbench, runner
         self._bench, self.data_dir = bench.id, bench.data_dir
         self._url = database_url(bench.database, bench.data_dir)
         self._details: dict[str, tuple[Any, dict[str, Any] | None]] = {}
@@ -47,11 +55,7 @@ class CampaignArchive:
 
     @contextmanager
     def store(self) -> Iterator[CampaignStore]:
-        """Yield the opened database.
-
-        Raises:
-            Refused: this computer has no database of the bench.
-        """
+        """Yield the opened database; raises Refused: this computer has no database of the bench."""
         if not is_there(self._url):
             location, expected = f"bench {self._bench}", "the database on the bench's computer"
             raise Refused(
@@ -88,16 +92,12 @@ class CampaignArchive:
         ]
 
     def state(self, campaign: str) -> CampaignState:
-        """Return the state of `campaign`.
-
-        Raises:
-            BenchError: no such campaign.
-        """
+        """Return the state of `campaign`; raises BenchError: no such campaign."""
         with self.store() as store:
             standing = store.standing(store.entry(campaign).id)
         return standing_now(self.data_dir, campaign, standing).state
 
-    def detail(self, campaign: str) -> dict[str, Any]:
+    def details_of(self, campaign: str) -> dict[str, Any]:
         """Return prompt, control charts and, after its end, landing points of `campaign`.
 
         Raises:
@@ -137,9 +137,97 @@ class CampaignArchive:
         if (known := self._details.get(name)) is not None and known[0] == key:
             return known
         try:
-            return key, self.detail(name)
+            return key, self.details_of(name)
         except (BenchError, ExceptionGroup, OSError):
             return key, None
+
+    def archive(self, asked: Asked) -> dict[str, Any]:
+        """Return the campaigns and records that are here, or those that the searched text names."""
+        search = asked.path.get("search", "").strip().casefold()
+        return {"campaigns": self.listed(search), "records": self._downloads.records(search)}
+
+    def swing(self, asked: Asked) -> dict[str, Any]:
+        """Return figures and curves of a record."""
+        path = self._record(asked.path["name"])
+        try:
+            return swing_view(path)
+        except (ValueError, KeyError, OSError) as error:
+            expected, action = "a record of this version", "Download it, and look at it with golfbench view."
+            raise Refused(path.name, str(error), expected, action) from error
+
+    def wear(self, asked: Asked) -> Any:
+        """Return what wears, as `golfbench wear --json` does, by the records named."""
+        names = asked.body.get("records")
+        if not isinstance(names, list) or not 0 < len(names) <= MAX_RECORDS:
+            raise InvalidBody(f"records: 1 to {MAX_RECORDS} names")
+        files = [str(self._record(str(name))) for name in names]
+        asked.once()
+        # A worn part ends the command with the code of a refusal.
+        return json.loads(
+            self._golfbench.output("wear", "--json", "--", *files, passed=(0, ExitCode.REFUSED))
+        )
+
+    def _record(self, name: str) -> Path:
+        if (found := self._downloads.record(name)) is None:
+            raise UnknownName("record")
+        return found
+
+    def detail(self, asked: Asked) -> dict[str, Any]:
+        """Return charts and landing points of one campaign."""
+        return self.details_of(asked.path["campaign"])
+
+    def record(self, path: dict[str, str]) -> Download | None:
+        """Return a record as a file."""
+        found = self._downloads.record(path["name"])
+        return None if found is None else Download.named(found, "application/vnd.apache.parquet", found.name)
+
+    def report(self, path: dict[str, str]) -> Download | None:
+        """Return a report as a page that can run nothing."""
+        found = self._downloads.report(path["campaign"])
+        return None if found is None else Download(found, *REPORT)
+
+    def write_report(self, asked: Asked) -> dict[str, Any]:
+        """Write the report of a campaign that has ended, as `golfbench campaign report` does."""
+        units, campaign = asked.units(), asked.path["campaign"]
+        asked.once()
+        if (state := self.state(campaign)) not in ENDED:
+            action = f"golfbench campaign report {campaign}: each look before the end costs confidence."
+            raise Refused(f"campaign {campaign}", str(state), "an ended campaign", action)
+        self._golfbench.output("campaign", "report", f"--units={units}", "--", campaign)
+        return {"note": f"Report of {campaign} written."}
+
+    def change(self, asked: Asked) -> dict[str, Any]:
+        """Pause, stop, abort or resume a campaign, answer its prompt, or mark a shot."""
+        campaign, name = asked.path["campaign"], asked.path["name"]
+        by = asked.text("by")
+        match name:
+            case "answer":
+                prompt, balls = int(asked.number("prompt")), _count(asked)
+                asked.once(fresh=True)  # the robot moves then
+                with self.store() as store:
+                    now, data_dir = datetime.now(UTC), self.data_dir
+                    text, _ = answer(store, data_dir, campaign, by, now, balls, number=prompt)
+                return {"note": f"Done: {text}"}
+            case "mark":
+                shot, comment = int(asked.number("shot")), asked.text("comment", MAX_COMMENT_LENGTH, 0)
+                asked.once()
+                with self.store() as store:
+                    store.add_note(store.entry(campaign).id, ShotNote(shot, datetime.now(UTC), by, comment))
+                return {"note": f"Shot {shot} marked."}
+            case _ if name not in REQUESTS:
+                raise UnknownName("request")
+        asked.once(fresh=name == "resume")  # the robot moves then
+        data_dir = self.data_dir
+        state = self.state(campaign)  # raises for an unknown campaign, before other files
+        if name == "resume" and not is_running(data_dir, campaign):
+            if state in ENDED:
+                expected, action = "an unfinished campaign", "Begin a new one."
+                raise Refused(f"campaign {campaign}", str(state), expected, action)
+            more = ["--ask"] if asked.body.get("ask") is True else []
+            self._runner.start(campaign, "campaign", "resume", "--json", f"--by={by}", *more, "--", campaign)
+            return {"note": f"{STARTED.format(campaign)}."}
+        with self.store() as store:
+            return {"note": f"{campaign} {ask(store, data_dir, campaign, REQUESTS[name], by)}."}
 
 
 def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
@@ -193,111 +281,6 @@ def _landing(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
         ]
         found.append({"section": section.name, "points": points, "ellipses": ellipses})
     return found
-
-
-STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
-
-
-class CampaignService:
-    """Campaigns, reports and records of one bench."""
-
-    def __init__(
-        self,
-        archive: CampaignArchive,
-        downloads: Downloads,
-        golfbench: CommandLine,
-        runner: BackgroundCommand,
-    ) -> None:
-        self._archive, self._downloads = archive, downloads
-        self._golfbench, self._runner = golfbench, runner
-
-    def archive(self, asked: Asked) -> dict[str, Any]:
-        """Return the campaigns and records that are here, or those that the searched text names."""
-        search = asked.path.get("search", "").strip().casefold()
-        return {"campaigns": self._archive.listed(search), "records": self._downloads.records(search)}
-
-    def swing(self, asked: Asked) -> dict[str, Any]:
-        """Return figures and curves of a record."""
-        path = self._record(asked.path["name"])
-        try:
-            return swing_view(path)
-        except (ValueError, KeyError, OSError) as error:
-            expected, action = "a record of this version", "Download it, and look at it with golfbench view."
-            raise Refused(path.name, str(error), expected, action) from error
-
-    def wear(self, asked: Asked) -> Any:
-        """Return what wears, as `golfbench wear --json` does, by the records named."""
-        names = asked.body.get("records")
-        if not isinstance(names, list) or not 0 < len(names) <= MAX_RECORDS:
-            raise InvalidBody(f"records: 1 to {MAX_RECORDS} names")
-        files = [str(self._record(str(name))) for name in names]
-        asked.once()
-        # A worn part ends the command with the code of a refusal.
-        return json.loads(
-            self._golfbench.output("wear", "--json", "--", *files, passed=(0, ExitCode.REFUSED))
-        )
-
-    def _record(self, name: str) -> Path:
-        if (found := self._downloads.record(name)) is None:
-            raise UnknownName("record")
-        return found
-
-    def detail(self, asked: Asked) -> dict[str, Any]:
-        """Return charts and landing points of one campaign."""
-        return self._archive.detail(asked.path["campaign"])
-
-    def record(self, path: dict[str, str]) -> Download | None:
-        """Return a record as a file."""
-        found = self._downloads.record(path["name"])
-        return None if found is None else Download.named(found, "application/vnd.apache.parquet", found.name)
-
-    def report(self, path: dict[str, str]) -> Download | None:
-        """Return a report as a page that can run nothing."""
-        found = self._downloads.report(path["campaign"])
-        return None if found is None else Download(found, *REPORT)
-
-    def write_report(self, asked: Asked) -> dict[str, Any]:
-        """Write the report of a campaign that has ended, as `golfbench campaign report` does."""
-        units, campaign = asked.units(), asked.path["campaign"]
-        asked.once()
-        if (state := self._archive.state(campaign)) not in ENDED:
-            action = f"golfbench campaign report {campaign}: each look before the end costs confidence."
-            raise Refused(f"campaign {campaign}", str(state), "an ended campaign", action)
-        self._golfbench.output("campaign", "report", f"--units={units}", "--", campaign)
-        return {"note": f"Report of {campaign} written."}
-
-    def change(self, asked: Asked) -> dict[str, Any]:
-        """Pause, stop, abort or resume a campaign, answer its prompt, or mark a shot."""
-        campaign, name = asked.path["campaign"], asked.path["name"]
-        by = asked.text("by")
-        match name:
-            case "answer":
-                prompt, balls = int(asked.number("prompt")), _count(asked)
-                asked.once(fresh=True)  # the robot moves then
-                with self._archive.store() as store:
-                    now, data_dir = datetime.now(UTC), self._archive.data_dir
-                    text, _ = answer(store, data_dir, campaign, by, now, balls, number=prompt)
-                return {"note": f"Done: {text}"}
-            case "mark":
-                shot, comment = int(asked.number("shot")), asked.text("comment", MAX_COMMENT_LENGTH, 0)
-                asked.once()
-                with self._archive.store() as store:
-                    store.add_note(store.entry(campaign).id, ShotNote(shot, datetime.now(UTC), by, comment))
-                return {"note": f"Shot {shot} marked."}
-            case _ if name not in REQUESTS:
-                raise UnknownName("request")
-        asked.once(fresh=name == "resume")  # the robot moves then
-        data_dir = self._archive.data_dir
-        state = self._archive.state(campaign)  # raises for an unknown campaign, before other files
-        if name == "resume" and not is_running(data_dir, campaign):
-            if state in ENDED:
-                expected, action = "an unfinished campaign", "Begin a new one."
-                raise Refused(f"campaign {campaign}", str(state), expected, action)
-            more = ["--ask"] if asked.body.get("ask") is True else []
-            self._runner.start(campaign, "campaign", "resume", "--json", f"--by={by}", *more, "--", campaign)
-            return {"note": f"{STARTED.format(campaign)}."}
-        with self._archive.store() as store:
-            return {"note": f"{campaign} {ask(store, data_dir, campaign, REQUESTS[name], by)}."}
 
 
 def _count(asked: Asked) -> int | None:

@@ -22,7 +22,7 @@ from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.ownership import bench_folder
 from bench.web.answers import Downloads, InvalidBody, UnknownName, json_answer
 from bench.web.bench_link import BenchLink, PageBroadcaster, TopicPoller
-from bench.web.campaign_service import CampaignArchive, CampaignService
+from bench.web.campaign_service import CampaignService
 from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
 from bench.web.last_swing import SwingReader
 from bench.web.page_access import (
@@ -35,7 +35,7 @@ from bench.web.page_access import (
     page_access,
 )
 from bench.web.page_service import Call, PageService, Pool
-from bench.web.start_service import CommissioningService, CommissioningStore, PlanCatalogue, StartService
+from bench.web.start_service import CommissioningService, PlanCatalogue, StartService
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -87,19 +87,20 @@ def serve_page(
         runner = BackgroundCommand(program, log, broadcaster.publish, "runner", outcome=run_outcome)
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
-        archive = CampaignArchive(configuration)
-        campaigns = CampaignService(archive, downloads, program, runner)
+        campaigns = CampaignService(configuration, downloads, program, runner)
         plans = PlanCatalogue(settings.data_dir, {"balls": configuration.balls, "clubs": configuration.clubs})
         starts = StartService(service, program, plans, runner, viewer, configuration)
-        shelf = CommissioningStore(settings.data_dir, settings.id)
         log = settings.data_dir / "commissioning" / f".process-of-{settings.id}.log"
         command = BackgroundCommand(
             program, log, broadcaster.publish, "commissioner", expected=(ExitCode.REFUSED, -signal.SIGTERM)
         )
-        commissionings = CommissioningService(program, shelf, command)
+        commissionings = CommissioningService(settings, program, command)
         link.start()
         stack.callback(link.close)
-        looks = {"commissioning": shelf.view, "campaigns": lambda: archive.running(link.client().campaigns())}
+        looks = {
+            "commissioning": commissionings.view,
+            "campaigns": lambda: campaigns.running(link.client().campaigns()),
+        }
         poller = TopicPoller(broadcaster, looks)
         poller.start()
         stack.callback(poller.close)

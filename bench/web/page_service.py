@@ -391,11 +391,7 @@ class PageLeases:
         return {"seconds": 0.0}
 
     def client(self, ticket: str) -> BenchClient:
-        """Return the client that holds the lease of `ticket`.
-
-        Raises:
-            Refused: no lease, or it has expired.
-        """
+        """Return the client that holds the lease of `ticket`; raises Refused: no lease, or it has expired."""
         with self._lock:
             held = self._held.get(ticket)
         if held is None or self._clock() > held.until:

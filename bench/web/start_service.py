@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+    from bench.base.address import BenchSettings
     from bench.commissioning.commissioning import DoneStep
 
 MAX_FILES = 100
@@ -100,11 +101,7 @@ class PlanCatalogue:
 
 
 def listed_file(what: str, files: Mapping[str, Path], name: str, action: str) -> Path:
-    """Return the one of `files` that is called `name`.
-
-    Raises:
-        Refused: there is none.
-    """
+    """Return the one of `files` that is called `name`; raises Refused: there is none."""
     if name not in files:
         raise Refused(what, "an unknown name", "one of the listed ones", action)
     return files[name]
@@ -367,15 +364,17 @@ def _air(configuration: Configuration, now: datetime) -> dict[str, Any] | None:
 
 MAX_LISTED = 10
 """Max number of listed commissionings."""
+MAX_FOLDER_LENGTH = 121
 FILES = {"report": "report.html", "robot": "robot.toml"}
 """Files of a commissioning by their names on the page."""
 
 
-class CommissioningStore:
-    """The commissionings of one bench."""
+class CommissioningService:
+    """The commissionings of one bench: their checks, starts, ends and files."""
 
-    def __init__(self, data_dir: Path, bench: str) -> None:
-        self._folder, self._robots, self._bench = data_dir / "commissioning", data_dir / "robots", bench
+    def __init__(self, bench: BenchSettings, golfbench: CommandLine, command: BackgroundCommand) -> None:
+        self._bench, self._golfbench, self._command = bench.id, golfbench, command
+        self._folder, self._robots = bench.data_dir / "commissioning", bench.data_dir / "robots"
 
     def view(self) -> dict[str, Any]:
         """Return robots and commissionings, the newest first, as the page shows them."""
@@ -384,10 +383,6 @@ class CommissioningStore:
             "folder": str(self._robots),
             "commissionings": [_commissioning(folder) for folder in self._folders()],
         }
-
-    def new(self, now: datetime) -> Path:
-        """Return the folder of a commissioning that begins `now`."""
-        return self._folder / f"{self._bench}-{now:%Y%m%dT%H%M%SZ}"
 
     def folder(self, name: str) -> Path:
         """Return the folder of the commissioning called `name`.
@@ -399,21 +394,9 @@ class CommissioningStore:
         return listed_file("commissioning", listed, name, "Load the page again.")
 
     def robot(self, name: str) -> Path:
-        """Return the file of the robot called `name`.
-
-        Raises:
-            Refused: no such robot is listed.
-        """
+        """Return the file of the robot called `name`; raises Refused: no such robot is listed."""
         action = f"Put its configuration into {self._robots}."
         return listed_file("robot", toml_files(self._robots), name, action)
-
-    def file(self, name: str, kind: str) -> Path | None:
-        """Return the file `kind` of FILES of commissioning `name`; None if it does not exist."""
-        found = FILES.get(kind)
-        try:
-            return None if found is None else plain_file(self.folder(name) / found)
-        except Refused:
-            return None
 
     def _folders(self) -> list[Path]:
         try:
@@ -429,6 +412,55 @@ class CommissioningStore:
         except OSError:
             return []
         return found[:MAX_LISTED]
+
+    def check(self, asked: Asked) -> Any:
+        """Return the steps that a commissioning would do, or why it cannot be done."""
+        return json.loads(self._golfbench.output(*self._arguments(*_wanted(asked))[1], "--check", "--json"))
+
+    def start(self, asked: Asked) -> dict[str, Any]:
+        """Begin a commissioning, or resume one."""
+        wanted = _wanted(asked)
+        asked.once()
+        name, given = self._arguments(*wanted)
+        self._command.start(name, *given)
+        return {"note": f"{name}: the commissioning begins, on a simulated robot."}
+
+    def stop(self, asked: Asked) -> dict[str, Any]:
+        """End the process of a commissioning; the step under way is done again when it is resumed."""
+        from bench.commissioning.commissioning import commissioning_process
+
+        wanted = asked.text("name", MAX_FOLDER_LENGTH)
+        asked.once()
+        process = commissioning_process(self.folder(wanted))
+        if process is None:
+            expected = "a running commissioning"
+            raise Refused("commissioning", "no process", expected, "Nothing is to be done.")
+        with suppress(ProcessLookupError):  # it has just ended
+            os.kill(process, signal.SIGTERM)
+        return {"note": f"{wanted} ends. It can be resumed."}
+
+    def file(self, path: Mapping[str, str]) -> Download | None:
+        """Return the report of a commissioning as a page that can run nothing, or its robot as a file."""
+        name, kind = path["commissioning"], path["kind"]
+        try:
+            found = plain_file(self.folder(name) / FILES[kind])
+        except (Refused, KeyError):
+            return None
+        if found is None:
+            return None
+        if kind == "report":
+            return Download(found, *REPORT)
+        return Download.named(found, "application/toml", f"{name}.toml")
+
+    def _arguments(self, robot: str, resumed: str) -> tuple[str, list[str]]:
+        """Return name and arguments of a commissioning of `robot`; `resumed`: continue that one."""
+        folder = self._folder / f"{self._bench}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+        if resumed:
+            folder = self.folder(resumed)
+        given = ["commission", "--sim", f"--output={folder}"]
+        if robot:
+            given.append(f"--robot={self.robot(robot)}")
+        return folder.name, [*given, "--resume"] if resumed else given
 
 
 def _commissioning(folder: Path) -> dict[str, Any]:
@@ -456,59 +488,6 @@ def _step(title: str, done: DoneStep | None) -> dict[str, Any]:
     seconds, values, notes = (None, (), ()) if done is None else (done.seconds, done.values, done.notes)
     found = {"seconds": seconds, "values": len(values), "notes": list(notes)}
     return {"title": title, "done": done is not None} | found
-
-
-MAX_FOLDER_LENGTH = 121
-
-
-class CommissioningService:
-    """Checks, starts and ends of commissionings, and their files."""
-
-    def __init__(self, golfbench: CommandLine, shelf: CommissioningStore, command: BackgroundCommand) -> None:
-        self._golfbench, self._shelf, self._command = golfbench, shelf, command
-
-    def check(self, asked: Asked) -> Any:
-        """Return the steps that a commissioning would do, or why it cannot be done."""
-        return json.loads(self._golfbench.output(*self._arguments(*_wanted(asked))[1], "--check", "--json"))
-
-    def start(self, asked: Asked) -> dict[str, Any]:
-        """Begin a commissioning, or resume one."""
-        wanted = _wanted(asked)
-        asked.once()
-        name, given = self._arguments(*wanted)
-        self._command.start(name, *given)
-        return {"note": f"{name}: the commissioning begins, on a simulated robot."}
-
-    def stop(self, asked: Asked) -> dict[str, Any]:
-        """End the process of a commissioning; the step under way is done again when it is resumed."""
-        wanted = asked.text("name", MAX_FOLDER_LENGTH)
-        asked.once()
-        from bench.commissioning.commissioning import commissioning_process
-
-        process = commissioning_process(self._shelf.folder(wanted))
-        if process is None:
-            expected = "a running commissioning"
-            raise Refused("commissioning", "no process", expected, "Nothing is to be done.")
-        with suppress(ProcessLookupError):  # it has just ended
-            os.kill(process, signal.SIGTERM)
-        return {"note": f"{wanted} ends. It can be resumed."}
-
-    def file(self, path: dict[str, str]) -> Download | None:
-        """Return the report of a commissioning as a page that can run nothing, or its robot as a file."""
-        name, kind = path["commissioning"], path["kind"]
-        if (found := self._shelf.file(name, kind)) is None:
-            return None
-        if kind == "report":
-            return Download(found, *REPORT)
-        return Download.named(found, "application/toml", f"{name}.toml")
-
-    def _arguments(self, robot: str, resumed: str) -> tuple[str, list[str]]:
-        """Return name and arguments of a commissioning of `robot`; `resumed`: continue that one."""
-        folder = self._shelf.folder(resumed) if resumed else self._shelf.new(datetime.now(UTC))
-        given = ["commission", "--sim", f"--output={folder}"]
-        if robot:
-            given.append(f"--robot={self._shelf.robot(robot)}")
-        return folder.name, [*given, "--resume"] if resumed else given
 
 
 def _wanted(asked: Asked) -> tuple[str, str]:

@@ -138,11 +138,9 @@ def _check_table(checks: Sequence[Check]) -> Table:
 
     from bench.commands.common import plain_table
 
-    table = plain_table("", "checked", "found", "allowed")
-    for check in checks:
-        mark = Text("wrong", "bold red") if check.faults else Text("ok", "green")
-        table.add_row(mark, *map(Text, (check.name, check.found, check.allowed)))
-    return table
+    marks = {True: Text("wrong", "bold red"), False: Text("ok", "green")}
+    rows = ((marks[bool(one.faults)], *map(Text, (one.name, one.found, one.allowed))) for one in checks)
+    return plain_table("", "checked", "found", "allowed", rows=rows)
 
 
 # The network -----------------------------------------------------------------------------------------

@@ -239,11 +239,7 @@ def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
 
 
 def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entry:
-    """Store a check of the inputs.
-
-    Raises:
-        BenchError: it cannot be stored.
-    """
+    """Store a check of the inputs; raises BenchError: it cannot be stored."""
     from bench.calibration.archive import keep_calibration
 
     return keep_calibration(configuration, seen, datetime.now(UTC), by=by, method="each acted on by hand")
@@ -373,18 +369,11 @@ def _show_steps(state: Commissioning, *, json_: bool) -> None:
         ]
         found = {"folder": str(state.folder), "robot": state.robot, "simulated": state.simulated}
         return show_json(found | {"steps": steps})
-    console = Console()
-    console.print(
-        f"Robot{', simulated' if state.simulated else ''}: {state.robot or 'as configured'}. "
-        f"Folder: {state.folder}.",
-        highlight=False,
-        markup=False,
-    )
+    kind = ", simulated" if state.simulated else ""
+    typer.echo(f"Robot{kind}: {state.robot or 'as configured'}. Folder: {state.folder}.")
     for number, step in enumerate(ALL_STEPS):
         word = "done" if step.name in done else "left"
-        console.print(
-            f"{number}. {step.title} ({word})\n   {step.bounds_text}", highlight=False, markup=False
-        )
+        typer.echo(f"{number}. {step.title} ({word})\n   {step.bounds_text}")
 
 
 def _loads(machine: SimulatedMachine) -> str:
@@ -407,20 +396,17 @@ def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
 
 def _show(state: Commissioning) -> None:
     figures = ("found", "standard error")
-    table = plain_table("step", "value", *figures, "unit", right=figures, title="Commissioned robot")
-    for value in {value.key: value for value in state.values}.values():
-        table.add_row(value.step, value.key, f"{value.value:.6g}", f"{value.error:.2g}", value.unit)
-    console = Console()
-    console.print(table)
+    latest = {one.key: one for one in state.values}.values()
+    rows = ((one.step, one.key, f"{one.value:.6g}", f"{one.error:.2g}", one.unit) for one in latest)
+    columns = ("step", "value", *figures, "unit")
+    Console().print(plain_table(*columns, rows=rows, right=figures, title="Commissioned robot"))
     for step in state.done:
         for note in step.notes:
-            console.print(f"{step.name}: {note}", highlight=False, markup=False)
+            typer.echo(f"{step.name}: {note}")
     robot, learned = state.folder / "robot.toml", state.folder / "learned.toml"
-    console.print(
+    typer.echo(
         f"Written: {robot}, swing.toml, learned.toml and report.html.\n"
-        f"Swing it: golfbench --config {robot} profile simulate {learned}",
-        highlight=False,
-        markup=False,
+        f"Swing it: golfbench --config {robot} profile simulate {learned}"
     )
 
 

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.console import Console
 
-from bench.commands.common import Json, Session, exit_unless, progress_bar, show_json
+from bench.commands.common import Json, Session, exit_unless, progress_bar, show_result
 from bench.commands.machine.doctor import (
     ItemResult,
     Probe,
@@ -63,10 +62,7 @@ def doctor(context: typer.Context, json_: Json = False) -> None:
         for finding, following in zip(examine(planned), (*planned[1:], planned[-1]), strict=True):
             findings.append(finding)
             progress.update(task, advance=1, description=f"examining {following.group}")
-    if json_:
-        show_json(report(findings))
-    else:
-        Console().print(table(findings))
+    show_result(json_, report(findings), table(findings))
     exit_unless(usable(findings))
 
 

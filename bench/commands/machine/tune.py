@@ -6,7 +6,6 @@ from math import degrees, isfinite, pi
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
@@ -18,7 +17,7 @@ from bench.commands.common import (
     finite,
     plain_table,
     progress_bar,
-    show_json,
+    show_result,
 )
 
 if TYPE_CHECKING:
@@ -56,17 +55,10 @@ def tune(
         judged = judge(plants, estimator, gains_along(bench), plant.tick)
         proofs = _proofs(bench, bar)
     machine = _machine(bench)
-    if json_:
-        show_json(_record(bench, judged, proofs, machine))
-    else:
-        console = Console()
-        console.print(margins_table(f"margins along {swing.name}", judged))
-        judging = [frozen for frozen in plants if frozen.point.judged]
-        worst = _worst(judge(judging, estimator, gains_along(bench), plant.tick))
-        for line in _story(proofs, worst, machine):
-            console.print(line, highlight=False)
-        if proofs["nominal"].failure:
-            typer.echo("The configured robot does not swing with these gains.")
+    judging = [frozen for frozen in plants if frozen.point.judged]
+    worst = _worst(judge(judging, estimator, gains_along(bench), plant.tick))
+    table = margins_table(f"margins along {swing.name}", judged)
+    show_result(json_, _record(bench, judged, proofs, machine), table, *_story(proofs, worst, machine))
     exit_unless(not proofs["nominal"].failure)
 
 
@@ -149,6 +141,8 @@ def _story(proofs: dict[str, ValidationSwing], worst: str, machine: MachineGains
         errors = f"{_milli(proof.backswing)} and {_milli(proof.downswing)} mrad"
         lines.append(f"{name} robot: {proof.failure or errors}")
     lines.append("Following errors, rms of shoulder·arm·wrist: up to the top, and in the downswing.")
+    if proofs["nominal"].failure:
+        lines.append("The configured robot does not swing with these gains.")
     return lines
 
 

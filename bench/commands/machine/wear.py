@@ -25,11 +25,11 @@ from bench.commands.common import (
     progress_of,
     require_picture,
     show_json,
+    show_result,
 )
 
 if TYPE_CHECKING:
     from bench.commissioning.swings.wear import PartWear
-    from bench.learning.identify import Identified
     from bench.network.bench_service import WearFinding
     from bench.simulation.replay import Margin
 
@@ -220,8 +220,8 @@ def identify(
 
     Use swings made with the control of --config, none of them the first after arming.
     """
+    from bench.learning.identify import NAMES, read_recorded, variation_of, write_plant_file
     from bench.learning.identify import identify as identified
-    from bench.learning.identify import read_recorded, variation_of, write_plant_file
     from bench.simulation.simulated_bench import Bench
 
     configuration = context.ensure_object(Session).configuration()
@@ -232,33 +232,19 @@ def identify(
     if output is not None:
         robot = variation_of(found.values, bench).applied_to(bench.model)
         write_plant_file(output, robot, found, configuration)
-    if json_:
-        return show_json(_identified_record(found))
-    console = Console()
-    console.print(_identified_table(found, f"identified from {len(swings)} swings"))
-    console.print(
-        f"Factors on the configured robot. Simulated swings were off by {found.before:.1f} times what swings "
-        f"alike differ by, and are by {found.after:.1f} times now.",
-        highlight=False,
-    )
-
-
-def _identified_record(found: Identified) -> dict[str, Any]:
-    from bench.learning.identify import NAMES
-
-    rows = zip(NAMES, found.values.tolist(), found.error.tolist(), found.known.tolist(), strict=True)
-    fields = ("name", "value", "standard_error", "identified")
+    columns = NAMES, found.values.tolist(), found.error.tolist(), found.known.tolist()
+    fields, figures = ("name", "value", "standard_error", "identified"), ("value", "standard error")
+    rows = [*zip(*columns, strict=True)]
     parameters = [dict(zip(fields, row, strict=True)) for row in rows]
-    return {"parameters": parameters, "before": found.before, "after": found.after}
-
-
-def _identified_table(found: Identified, title: str) -> Table:
-    from bench.learning.identify import NAMES
-
-    figures = ("value", "standard error")
+    title = f"identified from {len(swings)} swings"
     table = plain_table("parameter", *figures, "", right=figures, title=title)
-    for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):
-        unit = ("{:+.2f} ms", "{:.2f} ms") if name == NAMES[-1] else ("{:.3f}", "{:.3f}")
+    for name, value, error, known in rows:
+        value_form, error_form = ("{:+.2f} ms", "{:.2f} ms") if name == NAMES[-1] else ("{:.3f}", "{:.3f}")
         note = "" if known else "not identified"
-        table.add_row(name, unit[0].format(value), unit[1].format(error), note)
-    return table
+        table.add_row(name, value_form.format(value), error_form.format(error), note)
+    words = (
+        f"Factors on the configured robot. Simulated swings were off by {found.before:.1f} times what swings "
+        f"alike differ by, and are by {found.after:.1f} times now."
+    )
+    record = {"parameters": parameters, "before": found.before, "after": found.after}
+    show_result(json_, record, table, words)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
@@ -28,7 +27,7 @@ from bench.commands.common import (
     plain_table,
     progress_bar,
     require_folder,
-    show_json,
+    show_result,
 )
 from bench.swing.correction_terms import Source
 from drivers.base.ranges import read_number
@@ -110,12 +109,8 @@ def learn(
         version = keep(database, entry)
     if output is not None:
         save_profile(output, result.correction.applied_to(swing))
-    if json_:
-        show_json(entry.record | {"version": version})
-    else:
-        console = Console()
-        console.print(_table(result, entry.profile))
-        console.print(_verdict(result, entry, version), highlight=False)
+    words = _table(result, entry.profile), _verdict(result, entry, version)
+    show_result(json_, entry.record | {"version": version}, *words)
     exit_unless(result.within)
 
 

@@ -31,7 +31,7 @@ from bench.commands.common import (
     option,
     plain_table,
     progress_of,
-    show_json,
+    show_result,
     sweep_engine,
 )
 from bench.commands.swing.profile_design import design
@@ -56,11 +56,9 @@ def list_profiles(json_: Json = False) -> None:
     from bench.swing.profile import load_profile
 
     profiles = [(name, load_profile(find_profile(name))) for name in profile_names()]
-    if json_:
-        keys = ("text", "golfer", "club", "period", "impact_time", "duration", "delivery", "limits")
-        found = [{"name": name} | {key: getattr(profile, key) for key in keys} for name, profile in profiles]
-        return show_json(found)
-    Console().print(listing(profiles) if profiles else "No profiles here yet.")
+    keys = ("text", "golfer", "club", "period", "impact_time", "duration", "delivery", "limits")
+    found = [{"name": name} | {key: getattr(profile, key) for key in keys} for name, profile in profiles]
+    show_result(json_, found, listing(profiles) if profiles else "No profiles here yet.")
 
 
 @app.command()
@@ -115,19 +113,15 @@ def simulate(
     bench = SimulatedBench(
         swing, plant, configuration.control, configuration.envelope, configuration.estimator, around
     )
-    console = Console()
-    waiting = nullcontext() if json_ else console.status(f"swinging {swing.name}")
+    waiting = nullcontext() if json_ else Console().status(f"swinging {swing.name}")
     with deferred_interrupt() as asked, waiting:
         result = simulate_swing(bench, stop=asked.is_made)
         record = _outcome_record(result, datetime.now(UTC))
         output.mkdir(parents=True, exist_ok=True)
         file = output / "swing.parquet"
         write_swing(file, result.cycles, bench.metadata(record | result.replay_metadata()))
-    if json_:
-        show_json(record | {"files": [str(file)]})
-    else:
-        console.print(_outcome_table(result, plant, record))
-        console.print(f"Record: {file}", highlight=False)
+    table = _outcome_table(result, plant, record)
+    show_result(json_, record | {"files": [str(file)]}, table, f"Record: {file}")
     exit_unless(not result.reason)
 
 
@@ -157,10 +151,8 @@ def check(
     with progress_of(f"checking {swing.name}") as part:
         outcomes = bench.outcomes(spacing=spacing, progress=part)
     summaries = summarise(outcomes)
-    if json_:
-        show_json(check_record(swing.name, outcomes, summaries))
-    else:
-        Console().print(check_table(swing.name, outcomes, summaries))
+    shown = swing.name, outcomes, summaries
+    show_result(json_, check_record(*shown), check_table(*shown))
     exit_unless(not any(summary.unsafe for summary in summaries))
 
 

@@ -209,10 +209,8 @@ def _course(location: str, configuration: Configuration) -> SwingCourse:
 
 def _difference_table(rows: list[FigureDifference], first: str, second: str) -> Table:
     figures = (first, second, "difference", "RMS of differences")
-    table = plain_table("figure", "unit", *figures, right=figures)
-    for row in rows:
-        table.add_row(row.name, row.unit, *map(_number, row[2:]))
-    return table
+    cells = ((row.name, row.unit, *map(_number, row[2:])) for row in rows)
+    return plain_table("figure", "unit", *figures, right=figures, rows=cells)
 
 
 def _number(value: float) -> str:
@@ -236,10 +234,8 @@ def _show_keys(places: tuple[str, str], first: dict[str, str], second: dict[str,
         return show_json({"first": places[0], "second": places[1], "differences": rows})
     if not rows:
         return typer.echo("The configurations are equal in all keys.")
-    table = plain_table("key", *map(escape, places))
-    for row in rows:
-        table.add_row(*(Text(row[part] or "") for part in ("key", "first", "second")))
-    console_of(_WIDTH).print(table, highlight=False)
+    cells = ([Text(row[part] or "") for part in ("key", "first", "second")] for row in rows)
+    console_of(_WIDTH).print(plain_table("key", *map(escape, places), rows=cells), highlight=False)
 
 
 # Replay ----------------------------------------------------------------------------------------------

@@ -6,10 +6,11 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -23,12 +24,12 @@ from bench.records.telemetry.ring import RingWriter
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.rows import CampaignState, Prompt
-from bench.web.campaign_service import CampaignArchive
+from bench.web.campaign_service import CampaignService
 from bench.web.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from tests.bench.campaign.report.test_campaign_report import NOW, _record
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.web.conftest import publishing
-from tests.bench.web.running_page import HURRY, RunningPage, running_page
+from tests.bench.web.running_page import RunningPage, running_page
 from tests.benchmarks.campaign_statistics import Truth
 from tests.waiting import until
 
@@ -78,6 +79,11 @@ def page(configuration: Configuration) -> Iterator[RunningPage]:
         with page.stream() as following:
             following("state")
         yield page
+
+
+def service_of(configuration: Configuration) -> CampaignService:
+    """Return the campaigns, without programs and downloads."""
+    return CampaignService(configuration, Mock(), Mock(), Mock())
 
 
 def change(page: RunningPage, path: str, seen: float | None = None, **content: Any) -> tuple[int, Any]:
@@ -180,7 +186,7 @@ def test_record_and_report_paths_outside_archive_are_refused(page: RunningPage, 
 
 
 def test_campaign_requests_reach_runner(page: RunningPage, configuration: Configuration) -> None:
-    archive, settings = CampaignArchive(configuration), configuration.bench
+    archive, settings = service_of(configuration), configuration.bench
     assert change(page, f"{OPEN}/pause")[0] == 409  # no runner
     with runner_lock(settings.data_dir, OPEN):
         for name, wanted in (("pause", "pause"), ("resume", ""), ("stop", "stop")):
@@ -188,7 +194,7 @@ def test_campaign_requests_reach_runner(page: RunningPage, configuration: Config
             assert status == 200, content
             with archive.store() as store:
                 assert store.standing(OPEN)[2:] == (wanted, "Ann")
-        assert archive.detail(OPEN)["runner"]
+        assert archive.details_of(OPEN)["runner"]
         status, content = change(page, f"{OPEN}/resume", seen=time.monotonic() - 60.0)
         assert status == 409  # what moves the robot needs a fresh screen
         assert change(page, f"{OPEN}/pause", seen=time.monotonic() - 60.0)[0] == 200
@@ -202,7 +208,7 @@ def test_campaign_answer_requires_shown_prompt(page: RunningPage, configuration:
     status, content = change(page, f"{OPEN}/answer", prompt=1, balls=2)
     assert (status, content["note"]) == (200, f"Done: {PROMPT.text}")
     assert change(page, f"{OPEN}/answer", prompt=1)[0] == 409
-    with CampaignArchive(configuration).store() as store:
+    with service_of(configuration).store() as store:
         assert store.prompts(OPEN)[0].by == "Ann"
 
 
@@ -214,7 +220,7 @@ def test_campaign_mark_stores_note(page: RunningPage, configuration: Configurati
     assert change(page, f"{OPEN}/mark", shot=10**9, comment="")[0] == 409
     assert change(page, f"{OPEN}/mark", shot=1, comment="", by="")[0] == 400
     assert change(page, f"{OPEN}/delete")[0] == 404
-    with CampaignArchive(configuration).store() as store:
+    with service_of(configuration).store() as store:
         assert [(note.shot, note.by, note.text) for note in store.notes(OPEN)] == [(3, "Ann", SCRIPT)]
 
 
@@ -222,14 +228,14 @@ def test_campaign_mark_stores_note(page: RunningPage, configuration: Configurati
 def test_running_campaigns_read_changed_details_only(
     configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    archive, read = CampaignArchive(configuration), list[str]()
-    detail = archive.detail
+    archive, read = service_of(configuration), list[str]()
+    detail = archive.details_of
 
     def noted(name: str) -> Any:
         read.append(name)
         return detail(name)
 
-    monkeypatch.setattr(archive, "detail", noted)
+    monkeypatch.setattr(archive, "details_of", noted)
     message = {"campaign": OPEN, "shots": 1, "state": "running", "reason": ""}
     for _ in range(2):
         assert archive.running([message])[0]["detail"]["campaign"] == OPEN
@@ -242,7 +248,7 @@ def test_running_campaigns_read_changed_details_only(
 
 def test_campaign_archive_without_database_is_empty(tmp_path: Path) -> None:
     given = loopback_configuration()
-    archive = CampaignArchive(replace(given, bench=replace(given.bench, data_dir=tmp_path)))
+    archive = service_of(replace(given, bench=replace(given.bench, data_dir=tmp_path)))
     assert archive.listed() == []
     assert list(tmp_path.iterdir()) == []
 
@@ -303,15 +309,9 @@ def test_swing_view_from_ring_matches_stored_record(tmp_path: Path, configuratio
     shown: list[tuple[str, Any]] = []
     reader = SwingReader(lambda topic, view: shown.append((topic, view)), configuration.plant)
     reader.start()
-    try:
+    with closing(reader):
         reader.offer_ring(tmp_path / "none")  # a bench on another machine
-        deadline = time.monotonic() + HURRY
-        while not shown:
-            assert time.monotonic() < deadline
-            reader.offer_ring(tmp_path / "ring")
-            time.sleep(0.1)
-    finally:
-        reader.close()
+        until(lambda: shown, nudge=lambda: reader.offer_ring(tmp_path / "ring"))
     assert not shown[0][1]["stored"]
 
 
@@ -337,14 +337,8 @@ def test_swing_reader_damaged_record_is_skipped(tmp_path: Path, configuration: C
     shown: list[tuple[str, Any]] = []
     reader = SwingReader(lambda topic, view: shown.append((topic, view)), configuration.plant)
     reader.start()
-    try:
+    with closing(reader):
         (tmp_path / "damaged.parquet").write_text("damaged")
         reader.offer(tmp_path / "damaged.parquet")
-        deadline = time.monotonic() + HURRY
-        while not shown:
-            assert time.monotonic() < deadline
-            reader.offer(RECORDS / "swing.parquet")
-            time.sleep(0.1)
-    finally:
-        reader.close()
+        until(lambda: shown, nudge=lambda: reader.offer(RECORDS / "swing.parquet"))
     assert shown[0][0] == "swing"

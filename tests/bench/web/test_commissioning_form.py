@@ -13,13 +13,15 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
+from bench.base.address import BenchSettings
 from bench.base.errors import Refused
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, FaultRecord, folder_lock
 from bench.config import Configuration
-from bench.web.start_service import CommissioningStore
+from bench.web.start_service import CommissioningService
 from tests.bench.web.noting_program import NotingProgram
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
 from tests.waiting import until
@@ -58,6 +60,11 @@ def stored(data_dir: Path, name: str, done: int = 1, wrong: bool = False) -> Pat
     return folder
 
 
+def service_of(folder: Path) -> CommissioningService:
+    """Return the commissionings in `folder`, without programs."""
+    return CommissioningService(BenchSettings(id="bench1", data_dir=folder), Mock(), Mock())
+
+
 def asked(page: RunningPage, path: str, **content: Any) -> tuple[int, Any]:
     page.numbers += 1
     answer = page.post(f"/api/commissioning/{path}", {"number": f"commission-{page.numbers}"} | content)
@@ -68,7 +75,7 @@ def asked(page: RunningPage, path: str, **content: Any) -> tuple[int, Any]:
 
 
 def test_commissioning_store_shows_steps_notes_and_faults(tmp_path: Path) -> None:
-    shelf = CommissioningStore(tmp_path, "bench1")
+    shelf = service_of(tmp_path)
     assert shelf.view()["commissionings"] == []
     stored(tmp_path, "first-day", done=2, wrong=True)
     (one,) = shelf.view()["commissionings"]
@@ -85,7 +92,7 @@ def test_commissioning_store_shows_steps_notes_and_faults(tmp_path: Path) -> Non
 def test_commissioning_store_unreadable_state_gives_reason(tmp_path: Path) -> None:
     folder = stored(tmp_path, "first-day")
     (folder / "commissioning.json").write_text("{")
-    (one,) = CommissioningStore(tmp_path, "bench1").view()["commissionings"]
+    (one,) = service_of(tmp_path).view()["commissionings"]
     assert "Begin again in another folder" in one["unreadable"]
 
 
@@ -98,20 +105,22 @@ def test_commissioning_store_unlisted_names_are_refused(tmp_path: Path) -> None:
     (robots / "linked.toml").symlink_to("/etc/passwd")
     (tmp_path / "commissioning" / "linked").symlink_to(folder)
     (folder / "robot.toml").symlink_to("/etc/passwd")
-    shelf = CommissioningStore(tmp_path, "bench1")
+    shelf = service_of(tmp_path)
     assert shelf.view()["robots"] == ["other"]
     assert [one["name"] for one in shelf.view()["commissionings"]] == ["first-day"]
     assert shelf.folder("first-day") == folder
     assert shelf.robot("other") == robots / "other.toml"
-    assert shelf.file("first-day", "report") == folder / "report.html"
+    report = shelf.file({"commissioning": "first-day", "kind": "report"})
+    assert report is not None
+    assert report.path == folder / "report.html"
     for name in ("linked", "--help", "..", "", "../first-day", "/etc/passwd", SCRIPT):
         for look in (shelf.folder, shelf.robot):
             with pytest.raises(Refused) as refused:
                 look(name)
             assert SCRIPT not in str(refused.value)
-        assert shelf.file(name, "report") is None
+        assert shelf.file({"commissioning": name, "kind": "report"}) is None
     for kind in ("robot", "commissioning.json", "..", ""):
-        assert shelf.file("first-day", kind) is None
+        assert shelf.file({"commissioning": "first-day", "kind": kind}) is None
 
 
 def test_commissioning_change_reaches_page(page: RunningPage, configuration: Configuration) -> None:

@@ -39,10 +39,11 @@ from bench.commands.bench.console import (
     count_stops,
     history,
 )
-from bench.commands.cli import command_line, main
+from bench.commands.cli import command_line
 from bench.commands.common import Session
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer
+from tests.bench.commands.conftest import Run
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.running_bench import running_bench, write_configuration
 from tests.waiting import until
@@ -253,7 +254,7 @@ def test_kept_connection_silent_bench_accepts_stop(port: int, file: Path) -> Non
 
 
 def test_console_session_uses_one_connection(
-    port: int, file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    port: int, file: Path, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     opened: list[object] = []
     connect = BenchClient.connect
@@ -269,14 +270,13 @@ def test_console_session_uses_one_connection(
     monkeypatch.setattr(console, "require_terminal", lambda: None)
     monkeypatch.setattr(console, "CommandTerminal", lambda *_: nullcontext())
     monkeypatch.setattr(console, "ConsoleLines", lambda *_: SimpleNamespace(read=lambda: next(lines)))
-    with published_plane(port) as running, pytest.raises(SystemExit) as ended:
-        main(["--config", str(file), "console"])
-    assert ended.value.code == 0
+    with published_plane(port) as running:
+        code, out, err = run("--config", file, "console")
+    assert code == 0
     assert len(opened) == 1
     expected = [Request.RESET, Request.HOME, Request.RESET, Request.HOME, Request.ARM, Request.SWING]
     assert running.service.requests == expected
     assert next(lines) == "arm"
-    out, err = capsys.readouterr()
     assert "swing 1: 43.05 m/s" in out
     assert '"state": "READY"' in out
     assert re.search(r"bench bench1: Ann holds it for (29|30) s more, then it disarms\n$", out)
@@ -362,14 +362,12 @@ def test_command_terminal_ctrl_c_sends_sigint(terminal: int, monkeypatch: pytest
 
 @pytest.mark.parametrize("stream", ["stdin", "stdout"])
 def test_console_without_terminal_is_refused(
-    stream: str, terminal: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    stream: str, terminal: int, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     if stream == "stdin":
         monkeypatch.setattr("sys.stdin", StringIO())
-    with pytest.raises(SystemExit) as ended:
-        main(["console"])
-    assert ended.value.code == ExitCode.BAD_INPUT
-    said = capsys.readouterr().err
+    code, _, said = run("console")
+    assert code == ExitCode.BAD_INPUT
     assert said.startswith(f"error: golfbench console\n  found:    standard {stream[3:]}put is no terminal\n")
     assert "  action:   In scripts use single commands" in said
 

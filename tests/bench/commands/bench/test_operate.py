@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from rich.console import Console
@@ -22,7 +22,7 @@ from bench.base.address import free_port
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.commands.bench.status_table import status_table
-from bench.network.bench_service import CauseStatus, CommandAnswer, LaunchMonitorStatus
+from bench.network.bench_service import BenchStatus, CauseStatus, CommandAnswer
 from bench.network.client import REST
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
@@ -300,7 +300,9 @@ def test_arm_command_refused_exits_with_1_and_prints_state_and_reason(
 
 
 def test_operate_commands_without_lease_are_refused(running: RunningPlane, golfbench: Run) -> None:
-    for line in ("home", "arm", "access", "access --end", "tee", "reset", "lease renew", "lease release"):
+    running.service.state = State.ARMED
+    lines = ("home", "arm", "swing", "access", "access --end", "tee", "reset", "lease renew", "lease release")
+    for line in lines:
         code, _, err = golfbench(*line.split())
         assert code == ExitCode.REFUSED
         assert "golfbench lease take" in err
@@ -315,20 +317,6 @@ def test_access_end_during_campaign_names_campaign_to_answer(
     code, _, err = golfbench("access", "--end")
     assert code == ExitCode.REFUSED
     assert "Answer the campaign's prompt: golfbench campaign answer c7." in err
-
-
-def test_swing_command_not_armed_or_without_lease_is_refused(running: RunningPlane, golfbench: Run) -> None:
-    golfbench("lease", "take")
-    running.service.state = State.READY
-    code, _, err = golfbench("swing")
-    assert code == ExitCode.REFUSED
-    assert "found:    READY" in err
-    assert "golfbench arm" in err
-    assert running.service.requests == []
-    running.service.state = State.ARMED
-    golfbench("lease", "release")
-    assert golfbench("swing").code == ExitCode.REFUSED
-    assert running.service.requests == []
 
 
 @pytest.mark.parametrize("words", ["list", "check default", "--no-wait show", "-- --help"])
@@ -404,19 +392,15 @@ def test_status_command_json_has_state_lease_and_joints(running: RunningPlane, g
     assert status["joints_deg"] == [32.71, 237.3, None]
 
 
-def shown(age: float = 0.0, state: State = State.ESTOP) -> str:
+def shown(age: float = 0.0, **changed: Any) -> str:
     console = Console(width=80, record=True, file=StringIO())
-    console.print(status_table(FakeDesk(state).status(), age))
+    console.print(status_table(cast(BenchStatus, FakeDesk().status() | changed), age))
     return console.export_text()
 
 
 def test_status_table_shows_refused_launch_monitor_messages() -> None:
     link = {**NO_LAUNCH_MONITOR, "listening": "127.0.0.1:2921", "refused": 2, "refusal": "invalid JSON"}
-    console = Console(width=80, record=True, file=StringIO())
-    status = FakeDesk().status()
-    status["launch_monitor"] = cast(LaunchMonitorStatus, link)
-    console.print(status_table(status, 0.0))
-    text = console.export_text()
+    text = shown(launch_monitor=link)
     assert "not connected, listening at 127.0.0.1:2921" in text
     assert "refused 2, last: invalid JSON" in text
 

@@ -18,12 +18,12 @@ from rerun.chunk import RrdReader
 from bench.base.atomic_file import NotStored
 from bench.base.errors import ExitCode
 from bench.commands.campaign.demo import new_folder, run_demo
-from bench.commands.cli import main
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.records.telemetry.record_file import read_swing
 from bench.swing.library import find_profile
+from tests.bench.commands.conftest import Outcome, Run
 from tests.bench.records.shot.read_shots import read_shot_table
 
 pytestmark = pytest.mark.skipif(
@@ -31,12 +31,8 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def _demo(*arguments: str) -> int:
-    """Run the command in this process and return its exit code."""
-    with pytest.raises(SystemExit) as end:
-        main([*arguments[:-1], "demo", "--engine", "compiled", "--swings", "2", "--output", arguments[-1]])
-    assert isinstance(end.value.code, int)
-    return end.value.code
+def _demo(run: Run, output: Path | str, *options: str | Path) -> Outcome:
+    return run(*options, "demo", "--engine", "compiled", "--swings", "2", "--output", output)
 
 
 def _names(folder: Path) -> set[str]:
@@ -51,7 +47,7 @@ def _figures(shots: list[Shot]) -> list[tuple[object, ...]]:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of two swings."""
     folder: Path = tmp_path_factory.mktemp("demo")
-    assert _demo(str(folder)) == ExitCode.OK
+    assert run_demo(load_configuration(), folder, 2, 1, live=False)
     return folder
 
 
@@ -117,51 +113,43 @@ def test_demo_same_seed_repeats_shots_and_other_seed_differs(
 
 
 @pytest.mark.slow
-def test_demo_failed_swings_are_reported_with_reason(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_demo_failed_swings_are_reported_with_reason(tmp_path: Path, run: Run) -> None:
     lame = tmp_path / "lame.toml"
     following = EnvelopeSettings().max_following_error
     tight = "\n".join(f"{name} = [0.001, 0.001, 0.001]" for name in following if name == "backswing")
     lame.write_text(f'base = "shipped"\n[envelope.max_following_error]\n{tight}\n')
-    assert _demo("--config", str(lame), str(tmp_path / "out")) == ExitCode.REFUSED
+    answer = _demo(run, tmp_path / "out", "--config", lame)
+    assert (answer.code, "shots in a row not valid" in answer.words) == (ExitCode.REFUSED, True)
     shots = read_shot_table(tmp_path / "out" / "shots.csv")
     # The stopped club may sink against the ball: then it was hit, and is excluded.
     assert {shot.status for shot in shots} <= {ShotStatus.FAILED, ShotStatus.EXCLUDED}
     assert all("reference" in shot.reason for shot in shots)
     assert (tmp_path / "out" / "report.html").exists()
-    assert "shots in a row not valid" in " ".join(capsys.readouterr().out.split())
 
 
-def test_demo_invalid_profile_is_refused_without_output(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ('[swing]\nprofile = "bad.toml"', "impact_time_s"),
+        ("[envelope]\nmax_speed = [5.0, 6.0, 48.0]", "at most 5 rad/s"),
+    ],
+)
+def test_demo_impossible_swing_is_refused_without_output(
+    section: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
-    bad = tmp_path / "bad.toml"
+    monkeypatch.chdir(tmp_path)
     text = find_profile("default").read_text()
-    bad.write_text(re.sub(r"(?m)^impact_time_s = .*$", "impact_time_s = nan", text))
-    own = tmp_path / "own.toml"
-    own.write_text(f'base = "shipped"\n[swing]\nprofile = "{bad}"\n')
-    assert _demo("--config", str(own), str(tmp_path / "out")) == ExitCode.BAD_INPUT
-    assert "impact_time_s" in capsys.readouterr().err
+    Path("bad.toml").write_text(re.sub(r"(?m)^impact_time_s = .*$", "impact_time_s = nan", text))
+    Path("own.toml").write_text(f'base = "shipped"\n{section}\n')
+    answer = _demo(run, "out", "--config", "own.toml")
+    assert (answer.code, words in answer.err) == (ExitCode.BAD_INPUT, True)
     assert _names(tmp_path) == {"bad.toml", "own.toml"}
 
 
-def test_demo_profile_over_speed_limit_is_refused_without_output(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    own = tmp_path / "own.toml"
-    own.write_text('base = "shipped"\n[envelope]\nmax_speed = [5.0, 6.0, 48.0]\n')
-    assert _demo("--config", str(own), str(tmp_path / "out")) == ExitCode.BAD_INPUT
-    assert "at most 5 rad/s" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_demo_output_folder_in_use_is_refused_unchanged(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_demo_output_folder_in_use_is_refused_unchanged(folder: Path, run: Run) -> None:
     before = _names(folder)
-    assert _demo(str(folder)) == ExitCode.REFUSED
-    assert "--output" in capsys.readouterr().err
+    answer = _demo(run, folder)
+    assert (answer.code, "--output" in answer.err) == (ExitCode.REFUSED, True)
     assert _names(folder) == before
 
 
