@@ -15,11 +15,11 @@ import json
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Mapping
 from datetime import UTC, datetime
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Phase, Reaction, Request, State
@@ -42,7 +42,6 @@ from bench.network.status_words import (
 )
 from bench.network.zenoh_session import NoAnswer, open_client
 from bench.viewer.feed import Feed
-from bench.web.page_access import Receive, Scope, Send
 from drivers.base import ACTUATORS, JOINTS
 
 if TYPE_CHECKING:
@@ -219,10 +218,6 @@ MAX_READERS = 32
 """Max number of open pages."""
 
 
-class TooManyReaders(Exception):
-    """No further page can be served."""
-
-
 class PageReader:
     """Waiting messages of one reader, to be used in the server's event loop."""
 
@@ -258,7 +253,7 @@ class PageBroadcaster:
 
     def __init__(self) -> None:
         self._newest: dict[str, bytes] = {}
-        self._readers: set[PageReader] = set()
+        self._readers = WeakSet[PageReader]()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._lock = Lock()
 
@@ -282,16 +277,21 @@ class PageBroadcaster:
         for reader in self._readers:
             reader.put(topic, message)
 
-    @contextmanager
-    def reader(self) -> Iterator[PageReader]:
-        """Yield a reader with the newest messages; raises TooManyReaders: MAX_READERS are served."""
+    def reader(self) -> PageReader | None:
+        """Return a reader with the newest messages, served while it is held; None if MAX_READERS are."""
         if len(self._readers) >= MAX_READERS:
-            raise TooManyReaders
+            return None
         with self._lock:
             reader = PageReader(self._newest)
         self._readers.add(reader)
+        return reader
+
+    async def messages(self, reader: PageReader, first: Any) -> AsyncIterator[bytes]:
+        """Yield `first` on topic "you", then messages as the `reader` takes them, until its end."""
         try:
-            yield reader
+            yield event_text("you", first)
+            while (message := await reader.take()) is not None:
+                yield message
         finally:
             self._readers.discard(reader)
 
@@ -334,41 +334,3 @@ class TopicPoller:
                 except Exception as error:  # no bench, a folder that goes, a session that closes, NaN
                     _log.debug("page: %s: %s", topic, error)
             self._ended.wait(_PERIOD)
-
-
-class EventStream:
-    """The response to one reader: an ASGI application that sends the newest messages as it takes them."""
-
-    def __init__(self, broadcaster: PageBroadcaster, first: Any) -> None:
-        """`first` is the content of the first message, on topic "you"."""
-        self._broadcaster, self._first = broadcaster, event_text("you", first)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send until the reader goes or the server ends; the kernel ends one that takes no messages."""
-        try:
-            with self._broadcaster.reader() as reader:
-                await self._serve(reader, receive, send)
-        except TooManyReaders:
-            await send({"type": "http.response.start", "status": 503, "headers": []})
-            await send({"type": "http.response.body", "body": b"Too many open pages: close some."})
-
-    async def _serve(self, reader: PageReader, receive: Receive, send: Send) -> None:
-        gone = asyncio.create_task(_watch(receive, reader))
-        try:
-            headers = [(b"content-type", b"text/event-stream; charset=utf-8")]
-            await send({"type": "http.response.start", "status": 200, "headers": headers})
-            message: bytes | None = self._first
-            while message is not None:
-                await send({"type": "http.response.body", "body": message, "more_body": True})
-                message = await reader.take()
-            if not gone.done():
-                await send({"type": "http.response.body", "body": b""})
-        finally:
-            gone.cancel()
-
-
-async def _watch(receive: Receive, reader: PageReader) -> None:
-    """End `reader` when its connection ends."""
-    while (await receive())["type"] != "http.disconnect":
-        pass
-    reader.end()

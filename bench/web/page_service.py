@@ -33,7 +33,7 @@ from bench.web.answers import (
     static_files,
     text_in,
 )
-from bench.web.bench_link import BenchLink, EventStream, PageBroadcaster
+from bench.web.bench_link import BenchLink, PageBroadcaster
 from bench.web.page_access import SESSION, PageAccess, PageRole
 
 if TYPE_CHECKING:
@@ -111,9 +111,16 @@ class PageService:
         content, kind = found
         return Response(content, media_type=kind, headers={"cache-control": "no-cache"})
 
-    async def stream(self, request: Request) -> Any:
-        """Return the messages of the bench as server-sent events."""
-        return self.needing(PageRole.VIEWER, request) or EventStream(self._broadcaster, self._you(request))
+    async def stream(self, request: Request) -> Response:
+        """Return server-sent events of the bench; the kernel ends a reader that takes none."""
+        from starlette.responses import StreamingResponse
+
+        if (refusal := self.needing(PageRole.VIEWER, request)) is not None:
+            return refusal
+        if (reader := self._broadcaster.reader()) is None:
+            return json_answer({"what": "Too many open pages.", "action": "Close some."}, 503)
+        messages = self._broadcaster.messages(reader, self._you(request))
+        return StreamingResponse(messages, media_type="text/event-stream")
 
     async def you(self, request: Request) -> Response:
         """Return the reader's role."""

@@ -199,24 +199,6 @@ def test_arm_wait_not_at_rest_renews_lease_and_times_out(running: RunningPlane, 
     assert golfbench("disarm").code == 0
 
 
-def test_arm_wait_fault_ends_wait(running: RunningPlane, golfbench: Run) -> None:
-    golfbench("lease", "take")
-    running.service.state, running.service.armed_phase = State.READY, "RETURN"
-
-    def fail_once_armed() -> None:
-        while running.service.state is not State.ARMED:
-            time.sleep(0.01)
-        running.service.stop(Request.STOP)
-
-    fault = threading.Thread(target=fail_once_armed)
-    fault.start()
-    code, _, err = golfbench("arm", "--wait")
-    fault.join()
-    assert code == ExitCode.REFUSED
-    assert "found:    FAULT in phase STANDING: the bench was switched on" in err
-    assert "action:   Reset to begin. Next: golfbench reset." in err
-
-
 def test_stop_command_past_no_return_reports_latched_stop(running: RunningPlane, golfbench: Run) -> None:
     service, status = running.service, running.service.status
     service.state = State.SWINGING
