@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from sim.simulated_monitor import MonitorParameters
 
 
-class NoBus(BenchError):
-    """The bus of the simulated nodes cannot be opened."""
+class NoDevice(BenchError):
+    """The bus of the nodes cannot be opened, or the simulated bench cannot be looked at."""
 
     exit_code = ExitCode.DEVICE
 
@@ -176,7 +176,7 @@ def show_scan(configuration: Configuration) -> None:
 
     Raises:
         BenchError: the configuration has no CANopen nodes.
-        NoBus: the bus cannot be opened.
+        NoDevice: the bus cannot be opened.
         Refused: a configured node is missing or would be refused.
     """
     from bench.calibration.archive import calibration_of
@@ -191,7 +191,7 @@ def show_scan(configuration: Configuration) -> None:
     try:
         found = scan_bus(bus, configuration.plant.encoders.counts_per_revolution)
     except DriverError as error:
-        raise NoBus(
+        raise NoDevice(
             f"nodes --scan on {where}",
             str(error),
             "an open CAN interface",
@@ -244,7 +244,7 @@ def _run_nodes(plan: NodesPlan) -> None:
     try:
         run_nodes(plan, lambda how: typer.echo(f"nodes {numbers} live on {where} ({how})", err=True), wish)
     except (OSError, can.CanError, SharedMemoryError) as error:
-        raise NoBus(
+        raise NoDevice(
             f"nodes on {where}",
             str(error),
             "a CAN interface that can be opened",
@@ -258,12 +258,6 @@ _PERIOD = 0.005
 """Period of reading the plant (s)."""
 _ATTACH_PERIOD = 0.5
 """Period of looking for a plant (s)."""
-
-
-class NoPlant(BenchError):
-    """The simulated bench cannot be looked at."""
-
-    exit_code = ExitCode.DEVICE
 
 
 def launch_monitor(
@@ -343,7 +337,7 @@ def _run_monitor(
                         f"{'connected to' if monitor.connected else 'not connected to'} the bench at {where}"
                     )
     except SharedMemoryError as error:
-        raise NoPlant(*error.args) from error
+        raise NoDevice(*error.args) from error
     finally:
         monitor.close()
         watch.close()

@@ -169,6 +169,7 @@ def verify(
 
     Exits with 1 and names what differs.
     """
+    from bench.base.from_toml import read_text
     from bench.campaign.report.campaign_record import load_record
     from bench.campaign.report.verification import missing_records, verify_page
 
@@ -177,28 +178,16 @@ def verify(
         record = load_record(store, entry)
         missing = missing_records(store.shots(record.entry.id), data_dir)
     path = page or data_dir / "campaigns" / record.entry.id / "report.html"
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        action = f"Write it: golfbench campaign report {record.entry.id}."
-        raise BenchError(str(path), error.strerror or "not readable", "a report", action) from error
-    except UnicodeDecodeError as error:
-        raise BenchError(
-            str(path), "no text", "a report (HTML)", "Give the path of the HTML file."
-        ) from error
+    text = read_text(path, "a report", f"Write it: golfbench campaign report {record.entry.id}.")
     result = verify_page(record, text, str(path))
     for line in (*missing, *result.differences):
         typer.echo(line)
     typer.echo(f"digest of plan and data {result.digest}")
-    page_words = (
-        ", the page compared"
-        if result.page
-        else "; the page itself, written by another version of golfbench, is not compared"
-    )
+    other = "; the page itself, written by another version of golfbench, is not compared"
+    page_words = ", the page compared" if result.page else other
     held = not (missing or result.differences)
-    typer.echo(
-        f"{'verified' if held else 'NOT VERIFIED'}: {result.figures} figures computed again{page_words}"
-    )
+    verdict = "verified" if held else "NOT VERIFIED"
+    typer.echo(f"{verdict}: {result.figures} figures computed again{page_words}")
     exit_unless(held)
 
 
@@ -332,14 +321,9 @@ def air(
     address = context.ensure_object(Session).address()
     bench = address.bench.id
     given = {"--temperature": temperature, "--pressure": pressure, "--humidity": humidity}
-    if missing := [name for name, value in given.items() if value is None]:
-        if len(missing) < len(given):
-            raise BenchError(
-                "air",
-                f"no {', '.join(missing)}",
-                "all three values",
-                f"Add the options {', '.join(missing)}.",
-            )
+    missing = ", ".join(name for name, value in given.items() if value is None)
+    if missing and missing != ", ".join(given):
+        raise BenchError("air", f"no {missing}", "all three values", f"Add the options {missing}.")
     for name, value in given.items():
         low, high, unit = _AIR[name]
         if value is not None and not low <= value <= high:

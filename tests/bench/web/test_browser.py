@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -18,11 +17,10 @@ from bench.network.lease import MIN_SECONDS
 from bench.web import page_service
 from bench.web.page_access import PageAddress
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
-from tests.bench.web.browser_tab import Tab, listens, open_tab, until_accepted
+from tests.bench.web.browser_tab import open_tab
 from tests.bench.web.conftest import publishing
 from tests.bench.web.day_at_page import VIEWER, sign_in
 from tests.bench.web.running_page import RunningPage, running_page
-from tests.running_bench import command_beside, running_bench, write_configuration
 
 pytestmark = [pytest.mark.live, pytest.mark.requires("chromium"), pytest.mark.timeout(400)]
 
@@ -206,40 +204,3 @@ def test_page_first_screen_has_state_stop_last_swing_and_curves(
                 stop = tab.page.evaluate("document.querySelector('.stopbar').getBoundingClientRect().top")
                 assert max(bottoms) <= stop < height
                 assert tab.page.evaluate(SIZES)[0] <= width
-
-
-@pytest.mark.release
-def test_page_running_bench_swings_by_clicks(browser: Any, tmp_path: Path) -> None:
-    file, port = write_configuration(tmp_path, "page"), free_port()
-    with running_bench(file) as bench, command_beside(file, "page", "--port", str(port)) as process:
-        while not listens(port):
-            assert process.poll() is None, process.stderr and process.stderr.read()
-            time.sleep(0.2)
-        with open_tab(browser, f"http://127.0.0.1:{port}/") as tab:
-            swing_and_stop(tab)
-            assert len(bench.records) == 1
-            bench.process.send_signal(signal.SIGINT)
-            bench.process.wait()
-            tab.text("#lost").to_contain_text("The bench is silent")  # the page outlives its bench
-            tab.page.click("#stop")
-            tab.text("#outcome").to_contain_text("Use the emergency stop")
-        process.terminate()
-        assert process.wait(60) == 0, process.stderr and process.stderr.read()
-
-
-def swing_and_stop(tab: Tab) -> None:
-    tab.text("body").not_to_have_class("stale")
-    tab.take_lease()
-    tab.do("reset", ask=False)
-    tab.text("#state-word").to_have_text("SAFE")
-    tab.do("home")
-    tab.text("#state-word").to_have_text("READY")
-    until_accepted(tab, "arm")
-    tab.text("#phase").to_have_text("holding the address")
-    until_accepted(tab, "swing")
-    tab.text("#swing-card").to_be_visible()
-    tab.text("#swing .plots figure").to_have_count(4)
-    tab.text("#swing").to_contain_text("Club speed")
-    tab.text("#swing").not_to_contain_text("record pending")
-    tab.page.click("#estop")
-    tab.text("#state-word").to_have_text("ESTOP")
