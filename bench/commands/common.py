@@ -148,12 +148,8 @@ Plot = Annotated[Path | None, option("Also plot it: .png, .svg or .pdf.", "FILE"
 def require_picture(plot: Path | None) -> None:
     """Raise BenchError unless the suffix of `plot` is that of a picture, and its folder is there."""
     if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise BenchError(
-            "--plot",
-            str(plot),
-            "a name that ends in .png, .svg or .pdf",
-            "Give --plot a name such as plot.png.",
-        )
+        expected, action = "a name that ends in .png, .svg or .pdf", "Give --plot a name such as plot.png."
+        raise BenchError("--plot", str(plot), expected, action)
     require_folder("--plot", plot)
 
 

@@ -56,12 +56,8 @@ class CommandLine:
         """
         location = f"golfbench {arguments[0]}"
         if not self._free.acquire(blocking=False):
-            raise Refused(
-                location,
-                "too many commands at a time",
-                f"at most {MAX_COMMANDS} commands",
-                "Retry when a command has ended.",
-            )
+            expected, action = f"at most {MAX_COMMANDS} commands", "Retry when a command has ended."
+            raise Refused(location, "too many commands at a time", expected, action)
         try:
             code, output, said = self._run(location, self.arguments(*arguments))
         finally:

@@ -157,12 +157,8 @@ def checked_address(address: PageAddress) -> tuple[str, ...]:
         ip = ip_address(address.host)
     except ValueError:
         expected = "an IP address of this machine, or 0.0.0.0 for all"
-        raise BenchError(
-            "--host",
-            repr(address.host),
-            expected,
-            "Give --host 127.0.0.1 or another address of this machine.",
-        ) from None
+        action = "Give --host 127.0.0.1 or another address of this machine."
+        raise BenchError("--host", repr(address.host), expected, action) from None
     if not ip.is_loopback and not address.identity:
         expected = "a certificate for this machine: commands and tokens must not be readable on the network"
         action = "Make one: golfbench certificates DIR NAME --address HOST, then add --identity DIR/NAME."

@@ -311,8 +311,7 @@ class CommandNumbers:
     late: neither may move the robot.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(self) -> None:
         self._seen: OrderedDict[str, None] = OrderedDict()
         self._lock = Lock()
 
@@ -332,14 +331,11 @@ class CommandNumbers:
                 self._seen.popitem(last=False)
         if seen is None:
             return
-        age = self._clock() - seen
+        age = time.monotonic() - seen
         if not 0.0 <= age <= MAX_AGE:
-            raise Refused(
-                "command",
-                f"given from a state that is {age:.0f} s old" if age > 0 else "given from an unknown state",
-                f"a state of the last {MAX_AGE:g} s",
-                "Wait until the page shows the present state, then click again.",
-            )
+            state = f"a state that is {age:.0f} s old" if age > 0 else "an unknown state"
+            action = "Wait until the page shows the present state, then click again."
+            raise Refused("command", f"given from {state}", f"a state of the last {MAX_AGE:g} s", action)
 
 
 LEASE = 15.0
@@ -356,11 +352,9 @@ class _Held(NamedTuple):
 class PageLeases:
     """The leases by ticket."""
 
-    def __init__(
-        self, connect: Callable[[], BenchClient], clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, connect: Callable[[], BenchClient]) -> None:
         """`connect` returns a new client without a lease."""
-        self._connect, self._clock = connect, clock
+        self._connect = connect
         self._held: dict[str, _Held] = {}
         self._lock = Lock()
 
@@ -370,7 +364,7 @@ class PageLeases:
         client.take_lease(holder, LEASE)
         ticket = secrets.token_urlsafe(24)
         with self._lock:
-            now = self._clock()
+            now = time.monotonic()
             self._held = {t: held for t, held in self._held.items() if held.until > now}
             while len(self._held) >= MAX_TICKETS:
                 del self._held[next(iter(self._held))]
@@ -387,7 +381,7 @@ class PageLeases:
             raise
         with self._lock:
             if ticket in self._held:
-                self._held[ticket] = _Held(client, self._clock() + seconds)
+                self._held[ticket] = _Held(client, time.monotonic() + seconds)
         return {"seconds": seconds}
 
     def release(self, ticket: str) -> dict[str, Any]:
@@ -401,7 +395,7 @@ class PageLeases:
         """Return the client that holds the lease of `ticket`; raises Refused: no lease, or it has expired."""
         with self._lock:
             held = self._held.get(ticket)
-        if held is None or self._clock() > held.until:
+        if held is None or time.monotonic() > held.until:
             raise Refused("lease", "not held by this page", "the lease of the bench", "Take the lease first.")
         return held.client
 

@@ -187,28 +187,20 @@ def show_scan(configuration: Configuration) -> None:
         action = f"Omit the scan: driver {name!r} has no CANopen nodes. Or name another file with --config."
         raise BenchError("driver.name", repr(name), "'canopen'", action)
     bus = configuration.canopen
-    where = f"{bus.interface} {bus.channel}"
+    where = f"nodes --scan on {bus.interface} {bus.channel}"
     try:
         found = scan_bus(bus, configuration.plant.encoders.counts_per_revolution)
     except DriverError as error:
-        raise NoDevice(
-            f"nodes --scan on {where}",
-            str(error),
-            "an open CAN interface",
-            "Bring the interface up, as ip link set can0 up, then retry.",
-        ) from error
+        action = "Bring the interface up, as ip link set can0 up, then retry."
+        raise NoDevice(where, str(error), "an open CAN interface", action) from error
     calibrated = calibration_of(configuration, datetime.now(UTC)).shifts
     found = [_compared(node, configuration, calibrated) for node in found]
     for node in found:
         typer.echo("\n".join(_scan_lines(node)))
     refused = [str(node.number) for node in found if node.role and not node.taken]
     if refused:
-        raise Refused(
-            f"nodes --scan on {where}",
-            f"node {', '.join(refused)} missing or refused",
-            "every configured node taken",
-            "Follow the text at each node.",
-        )
+        found_refused = f"node {', '.join(refused)} missing or refused"
+        raise Refused(where, found_refused, "every configured node taken", "Follow the text at each node.")
 
 
 def _compared(
@@ -244,12 +236,8 @@ def _run_nodes(plan: NodesPlan) -> None:
     try:
         run_nodes(plan, lambda how: typer.echo(f"nodes {numbers} live on {where} ({how})", err=True), wish)
     except (OSError, can.CanError, SharedMemoryError) as error:
-        raise NoDevice(
-            f"nodes on {where}",
-            str(error),
-            "a CAN interface that can be opened",
-            "Bring it up, or take --config local_can, which needs none.",
-        ) from error
+        expected, action = "an open CAN interface", "Bring it up, or take --config local_can: it needs none."
+        raise NoDevice(f"nodes on {where}", str(error), expected, action) from error
 
 
 # The launch monitor ----------------------------------------------------------------------------------

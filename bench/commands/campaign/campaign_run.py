@@ -179,12 +179,8 @@ def run(
 
     plan, configuration, profiles = _checked(context, file)
     if expect not in ("", plan.digest):
-        raise Refused(
-            str(file),
-            f"digest {plan.digest}",
-            f"{expect}, as checked",
-            "Run golfbench campaign check on the plan again.",
-        )
+        action = "Run golfbench campaign check on the plan again."
+        raise Refused(str(file), f"digest {plan.digest}", f"{expect}, as checked", action)
     outputs = _outputs(json_, junit, report_to, check_, units)
     with open_store(configuration.bench) as store:
         measured = newest_aerodynamics(store.database, configuration.bench.id, plan.ball_names)
@@ -392,9 +388,8 @@ def watch(
         message = running()
         if message is None:
             location = f"campaign {campaign}" if campaign else f"bench {address.bench.id}"
-            raise Refused(
-                location, "no runner publishes it", "a running campaign", "See golfbench campaign list."
-            )
+            action = "See golfbench campaign list."
+            raise Refused(location, "no runner publishes it", "a running campaign", action)
         if json_:
             return show_json(message)
         screen, last = ProgressScreen(bar), message

@@ -147,17 +147,14 @@ def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
         write_text(candidate_text(run.catalogue, point.hardware, shipped, run.demand), file)
     write_text(json.dumps([asdict(point) for point in points], indent=2) + "\n", folder / "points.json")
     draw_front(points, run.demand.speed, folder / "front.png")
-    console = console_of(_PIPED_WIDTH)
-    console.print(front_table(points, front))
-    console.print(
+    console_of(_PIPED_WIDTH).print(front_table(points, front))
+    typer.echo(
         f"{len(points)} candidates, {len(front)} on the front; the plans took {run.seconds / 60:.1f} min. "
-        f"Picture, figures and a configuration for each point of the front: {folder}",
-        highlight=False,
-        markup=False,
+        f"Picture, figures and a configuration for each point of the front: {folder}"
     )
-    failed = [point for point in points if point.plan.failure]
-    for point in failed:
-        console.print(f"no plan: {point.hardware.name}: {point.plan.failure}", highlight=False)
+    for point in points:
+        if point.plan.failure:
+            typer.echo(f"no plan: {point.hardware.name}: {point.plan.failure}")
 
 
 def front_table(points: Sequence[SizedPoint], front: Sequence[SizedPoint]) -> Table:

@@ -140,16 +140,14 @@ def compare(
     settings = [_settings(location) for location in places]
     if settings[0] is not None and settings[1] is not None:
         if plot is not None:
-            raise BenchError(
-                "--plot", "two configurations", "two swings", "Leave --plot out: it draws two swings."
-            )
+            action = "Leave --plot out: it draws two swings."
+            raise BenchError("--plot", "two configurations", "two swings", action)
         return _show_keys(places, _keys(settings[0]), _keys(settings[1]), json_)
     for location, found, other in zip(places, settings, reversed(places), strict=True):
         if found is not None:
+            other_kind = f"a configuration, compared with {other}"
             action = "Compare two configurations, or two records or profiles."
-            raise BenchError(
-                location, f"a configuration, compared with {other}", "a record or a profile", action
-            )
+            raise BenchError(location, other_kind, "a record or a profile", action)
     from bench.records.shot.overlay import clocks, differences
 
     configuration = context.ensure_object(Session).configuration()
@@ -193,16 +191,11 @@ def _course(location: str, configuration: Configuration) -> SwingCourse:
     from bench.swing.profile import load_profile
 
     if location.endswith(".parquet"):
-        course = course_of_record(
-            "/".join(Path(location).with_suffix("").parts[-2:]), read_shot(Path(location))
-        )
+        name = "/".join(Path(location).with_suffix("").parts[-2:])
+        course = course_of_record(name, read_shot(Path(location)))
         if not len(course.time):
-            raise BenchError(
-                location,
-                "no swing in the record",
-                "a record of a swing",
-                "Name a record in which the robot swung.",
-            )
+            action = "Name a record in which the robot swung."
+            raise BenchError(location, "no swing in the record", "a record of a swing", action)
         return course
     return course_of_profile(configuration.plant, load_profile(find_profile(location)))
 

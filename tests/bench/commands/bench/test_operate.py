@@ -47,6 +47,13 @@ def golfbench(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: R
 
 
 @pytest.fixture
+def leased(running: RunningPlane, golfbench: Run) -> Run:
+    """Run a command line for the running bench, whose lease is taken."""
+    assert golfbench("lease", "take").code == 0
+    return golfbench
+
+
+@pytest.fixture
 def running(port: int, golfbench: Run) -> Iterator[RunningPlane]:
     with running_plane(FakeDesk(), loopback_configuration(port)) as running:
         yield running
@@ -76,22 +83,20 @@ def test_operate_commands_lease_to_release_print_each_state(running: RunningPlan
     assert running.plane.counts()["refused"] == 0
 
 
-def test_arm_wait_returns_armed_and_at_rest(running: RunningPlane, golfbench: Run) -> None:
-    golfbench("lease", "take")
-    golfbench("reset")
+def test_arm_wait_returns_armed_and_at_rest(running: RunningPlane, leased: Run) -> None:
+    leased("reset")
     ready = "bench bench1: READY. Vented and homed. Next: golfbench arm --wait\n"
-    assert golfbench("home", "--wait").out == ready
+    assert leased("home", "--wait").out == ready
     began = time.monotonic()
-    armed = golfbench("arm", "--wait")
+    armed = leased("arm", "--wait")
     assert armed.out.startswith("bench bench1: ARMED. Air on, the robot may move. Next: golfbench tee")
     assert time.monotonic() - began >= REST
-    assert golfbench("swing").code == 0
+    assert leased("swing").code == 0
 
 
-def test_swing_command_prints_delivery_launch_and_carry(running: RunningPlane, golfbench: Run) -> None:
-    golfbench("lease", "take")
+def test_swing_command_prints_delivery_launch_and_carry(running: RunningPlane, leased: Run) -> None:
     running.service.state = State.ARMED
-    swung = golfbench("swing")
+    swung = leased("swing")
     assert swung == Outcome(
         0,
         "swing 1: 43.05 m/s (96.3 mph) at the ball, attack +1.94°, strike +0.1 mm to the toe, -0.1 mm up\n"
@@ -102,23 +107,21 @@ def test_swing_command_prints_delivery_launch_and_carry(running: RunningPlane, g
 
 
 def test_swing_command_without_record_is_refused_after_timeout(
-    running: RunningPlane, golfbench: Run, monkeypatch: pytest.MonkeyPatch
+    running: RunningPlane, leased: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    golfbench("lease", "take")
     running.service.state, running.service.publish_shot = State.ARMED, lambda message: None
-    code, _, err = golfbench("swing", "--timeout", "1")
+    code, _, err = leased("swing", "--timeout", "1")
     assert code == ExitCode.REFUSED
     assert "no record within 1 s" in err
 
 
-def test_swing_command_stopped_swing_exits_with_1(running: RunningPlane, golfbench: Run) -> None:
-    golfbench("lease", "take")
+def test_swing_command_stopped_swing_exits_with_1(running: RunningPlane, leased: Run) -> None:
     publish = running.service.publish_shot
     row = Shot(1, 1, 1, "driver", "default", ShotStatus.FAILED, "stopped by the operator")
     stopped = {"cause": "OPERATOR_STOP", "shot": shot_to_json(row)}
     running.service.state = State.ARMED
     running.service.publish_shot = lambda message: publish({**message, **stopped})  # type: ignore[typeddict-item]
-    code, out, _ = golfbench("swing")
+    code, out, _ = leased("swing")
     assert code == ExitCode.REFUSED
     assert out.startswith("swing 1: no delivery\nstopped by the operator\n")
 
@@ -134,35 +137,32 @@ def test_swing_command_stopped_swing_exits_with_1(running: RunningPlane, golfben
     ],
 )
 def test_swing_command_refused_names_action_of_state(
-    running: RunningPlane, golfbench: Run, state: State, action: str
+    running: RunningPlane, leased: Run, state: State, action: str
 ) -> None:
-    golfbench("lease", "take")
     running.service.state = state
-    code, _, err = golfbench("swing")
+    code, _, err = leased("swing")
     assert code == ExitCode.REFUSED
     assert f"Next: {action}." in err
     assert running.service.requests == []
 
 
-def test_swing_command_disarmed_reports_cause(running: RunningPlane, golfbench: Run) -> None:
-    golfbench("lease", "take")
+def test_swing_command_disarmed_reports_cause(running: RunningPlane, leased: Run) -> None:
     running.service.state, running.service.cause = State.READY, Cause.LEASE
-    _, _, err = golfbench("swing")
+    _, _, err = leased("swing")
     assert "found:    READY: disarmed, as the lease lapsed or was released" in err
     assert "action:   Take it, then arm. Next: golfbench arm --wait." in err
 
 
 def test_home_wait_ctrl_c_reports_robot_continues(
-    running: RunningPlane, golfbench: Run, monkeypatch: pytest.MonkeyPatch
+    running: RunningPlane, leased: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    golfbench("lease", "take")
     running.service.state = State.SAFE
 
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("bench.network.client.BenchClient.wait_for", interrupt)
-    code, _, err = golfbench("home", "--wait")
+    code, _, err = leased("home", "--wait")
     assert code == ExitCode.INTERRUPTED
     assert "only the waiting ended, the robot continues" in err
     assert "golfbench stop" in err
@@ -223,10 +223,9 @@ def test_access_with_latched_cause_first_reports_unlocked_guard(
     assert golfbench("access").out == expected
 
 
-def test_access_end_without_access_reports_expected_guard(running: RunningPlane, golfbench: Run) -> None:
-    golfbench("lease", "take")
+def test_access_end_without_access_reports_expected_guard(running: RunningPlane, leased: Run) -> None:
     running.service.refuse = Refusal.STATE
-    err = golfbench("access", "--end").err
+    err = leased("access", "--end").err
     assert err.startswith("error: access --end of bench bench1\n")
     assert "expected: an access, or a guard opened in one\n" in err
 
@@ -241,17 +240,15 @@ def test_disarm_at_rest_is_done_already(running: RunningPlane, golfbench: Run, s
 
 @pytest.mark.parametrize("line", ["home", "access"])
 def test_command_for_disarmed_robot_in_armed_suggests_disarm(
-    running: RunningPlane, golfbench: Run, line: str
+    running: RunningPlane, leased: Run, line: str
 ) -> None:
-    golfbench("lease", "take")
     running.service.state = State.ARMED
-    assert golfbench(line).err.endswith("action:   Disarm first. Next: golfbench disarm.\n")
+    assert leased(line).err.endswith("action:   Disarm first. Next: golfbench disarm.\n")
 
 
-def test_operate_command_renews_lease(running: RunningPlane, golfbench: Run) -> None:
-    golfbench("lease", "take")
+def test_operate_command_renews_lease(running: RunningPlane, leased: Run) -> None:
     before = running.plane.lease()
-    golfbench("reset")
+    leased("reset")
     after = running.plane.lease()
     assert before is not None
     assert after is not None
@@ -268,10 +265,9 @@ def test_stop_and_estop_commands_without_lease_are_accepted(running: RunningPlan
 
 
 def test_arm_command_refused_exits_with_1_and_prints_state_and_reason(
-    running: RunningPlane, golfbench: Run
+    running: RunningPlane, leased: Run
 ) -> None:
-    golfbench("lease", "take")
-    code, out, err = golfbench("arm")
+    code, out, err = leased("arm")
     assert (code, out) == (ExitCode.REFUSED, "")
     assert err == (
         "error: arm of bench bench1\n"
@@ -303,11 +299,10 @@ def test_access_end_during_campaign_names_campaign_to_answer(
 
 @pytest.mark.parametrize("words", ["list", "check default", "--no-wait show", "-- --help"])
 def test_swing_command_extra_argument_is_refused_without_request(
-    running: RunningPlane, golfbench: Run, words: str
+    running: RunningPlane, leased: Run, words: str
 ) -> None:
-    golfbench("lease", "take")
     running.service.state = State.ARMED
-    code, _, err = golfbench("swing", *words.split())
+    code, _, err = leased("swing", *words.split())
     assert code == ExitCode.BAD_INPUT
     assert "golfbench profile" in err
     assert running.service.requests == []

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
@@ -197,9 +197,43 @@ def files(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     return contents
 
 
-def test_doctor_kernel_realtime_is_ok(files: dict[str, str]) -> None:
-    files["/sys/kernel/realtime"] = "1"
-    assert doctor.kernel().status is CheckStatus.OK
+_RUNTIME, _PERIOD = (f"/proc/sys/kernel/sched_rt_{name}_us" for name in ("runtime", "period"))
+_HUGE = "/sys/kernel/mm/transparent_hugepage/enabled"
+_CLOCK = "/sys/devices/system/clocksource/clocksource0"
+_MEMORY = "MemTotal: 9 kB\nMemAvailable:   {} kB"
+
+
+@pytest.mark.parametrize(
+    ("look", "contents", "status", "words"),
+    [
+        (doctor.kernel, {"/sys/kernel/realtime": "1"}, "ok", "PREEMPT_RT"),
+        (doctor.virtual_machine, {"/proc/cpuinfo": "flags : fpu sse"}, "ok", "no"),
+        (doctor.virtual_machine, {"/proc/cpuinfo": "flags : fpu hypervisor sse"}, "limited", "yes"),
+        (doctor.memory, {"/proc/meminfo": _MEMORY.format(8_000_000)}, "ok", "7.6 GiB available"),
+        (doctor.memory, {"/proc/meminfo": _MEMORY.format(1_000_000)}, "limited", "1.0 GiB available"),
+        (doctor.throttling, {_RUNTIME: "-1", _PERIOD: "1000000"}, "ok", "off"),
+        (doctor.throttling, {_RUNTIME: "950000", _PERIOD: "1000000"}, "ok", "95% of each 1 s"),
+        (doctor.throttling, {_RUNTIME: "500000", _PERIOD: "1000000"}, "limited", "50% of each 1 s"),
+        (doctor.huge_pages, {_HUGE: "[always] madvise never\n"}, "limited", "always"),
+        (doctor.huge_pages, {_HUGE: "always [madvise] never\n"}, "ok", "madvise"),
+        (doctor.huge_pages, {_HUGE: "always madvise [never]\n"}, "ok", "never"),
+        (doctor.huge_pages, {}, "ok", "this kernel has none"),
+        (doctor.clock, {f"{_CLOCK}/current_clocksource": "tsc"}, "ok", "source tsc"),
+        (doctor.clock, {f"{_CLOCK}/current_clocksource": "acpi_pm"}, "limited", "dmesg"),
+        (
+            doctor.clock,
+            {f"{_CLOCK}/current_clocksource": "hpet", f"{_CLOCK}/available_clocksource": "tsc hpet"},
+            "limited",
+            "clocksource=tsc",
+        ),
+    ],
+)
+def test_doctor_item_reads_kernel_files(
+    look: Callable[[], ItemResult], contents: dict[str, str], status: str, words: str, files: dict[str, str]
+) -> None:
+    files |= contents
+    outcome = look()
+    assert (outcome.status, words in outcome.value + outcome.advice) == (status, True)
 
 
 def test_doctor_processors_report_isolation_governor_and_single_core(
@@ -212,25 +246,6 @@ def test_doctor_processors_report_isolation_governor_and_single_core(
     assert doctor.processors().status is CheckStatus.LIMITED
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0})
     assert "share one" in doctor.processors().advice
-
-
-def test_doctor_virtual_machine_hypervisor_flag_is_limited(files: dict[str, str]) -> None:
-    files["/proc/cpuinfo"] = "flags : fpu sse"
-    assert doctor.virtual_machine().status is CheckStatus.OK
-    files["/proc/cpuinfo"] = "flags : fpu hypervisor sse"
-    assert doctor.virtual_machine().status is CheckStatus.LIMITED
-
-
-@pytest.mark.parametrize(
-    ("kibibytes", "status"), [(8_000_000, CheckStatus.OK), (1_000_000, CheckStatus.LIMITED)]
-)
-def test_doctor_memory_low_available_is_limited(
-    files: dict[str, str], kibibytes: int, status: CheckStatus
-) -> None:
-    files["/proc/meminfo"] = f"MemTotal: 9 kB\nMemAvailable:   {kibibytes} kB"
-    outcome = doctor.memory()
-    assert outcome.status is status
-    assert outcome.value == f"{kibibytes / 2**20:.1f} GiB available"
 
 
 def test_doctor_data_folder_reports_missing_and_low_space(
@@ -331,52 +346,9 @@ def test_doctor_limits_name_missing_rtprio_and_memlock(
     assert outcome.advice == (f"raise to {lacking} in /etc/security/limits.conf" if lacking else "")
 
 
-@pytest.mark.parametrize(
-    ("runtime", "status"),
-    [("-1", CheckStatus.OK), ("950000", CheckStatus.OK), ("500000", CheckStatus.LIMITED)],
-)
-def test_doctor_throttling_low_runtime_is_limited(
-    files: dict[str, str], runtime: str, status: CheckStatus
-) -> None:
-    files["/proc/sys/kernel/sched_rt_runtime_us"] = runtime
-    files["/proc/sys/kernel/sched_rt_period_us"] = "1000000"
-    assert doctor.throttling().status is status
-
-
-@pytest.mark.parametrize(
-    ("text", "value", "status"),
-    [
-        ("[always] madvise never\n", "always", CheckStatus.LIMITED),
-        ("always [madvise] never\n", "madvise", CheckStatus.OK),
-        ("always madvise [never]\n", "never", CheckStatus.OK),
-        ("", "this kernel has none", CheckStatus.OK),
-    ],
-)
-def test_doctor_huge_pages_always_is_limited(
-    files: dict[str, str], text: str, value: str, status: CheckStatus
-) -> None:
-    files["/sys/kernel/mm/transparent_hugepage/enabled"] = text
-    outcome = doctor.huge_pages()
-    assert (outcome.value, outcome.status) == (value, status)
-
-
 def test_doctor_clock_coarse_resolution_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("time.clock_getres", lambda _: 4e-3)
     assert doctor.clock().status is CheckStatus.LIMITED
-
-
-@pytest.mark.parametrize(
-    ("source", "others", "advice"),
-    [("tsc", "tsc", ""), ("hpet", "tsc hpet", "clocksource=tsc"), ("acpi_pm", "acpi_pm", "dmesg")],
-)
-def test_doctor_clock_slow_source_is_limited(
-    files: dict[str, str], source: str, others: str, advice: str
-) -> None:
-    folder = "/sys/devices/system/clocksource/clocksource0"
-    files[f"{folder}/current_clocksource"] = source
-    files[f"{folder}/available_clocksource"] = others
-    found = doctor.clock()
-    assert (found.status is CheckStatus.OK, advice in found.advice) == (not advice, True)
 
 
 def test_wake_up_latencies_are_sorted_and_not_negative() -> None:
