@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 def state_view(status: BenchStatus) -> dict[str, Any]:
-    """Return `status`, valid as JSON, with what the page shows in other words."""
+    """Return `status`, valid as JSON, with words, conditions and commands for the page."""
     state = State[status["state"]]
     chambers = status["chamber_pressure_pa"]
     sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)

@@ -51,7 +51,7 @@ class CampaignService:
         self._bench, self.data_dir = bench.id, bench.data_dir
         self._url = database_url(bench.database, bench.data_dir)
         self._details: dict[str, tuple[Any, dict[str, Any] | None]] = {}
-        """By running campaign: key and content of its newest detail."""
+        """Key and content of the newest detail of each running campaign."""
 
     @contextmanager
     def store(self) -> Iterator[CampaignStore]:

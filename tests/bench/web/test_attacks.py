@@ -132,7 +132,7 @@ FORGERIES: dict[str, tuple[dict[str, str | None], bytes, set[int]]] = {
     "oversized by its word": ({"content-length": "9" * 30}, b"{}", {400, 413}),
     "negative length": ({"content-length": "-1"}, b"{}", {400}),
 }
-"""Requests that change nothing on any path: headers beside the page's own, body and status."""
+"""Requests that change nothing on any path: changed headers, body and status."""
 CHANGES = [path for path, method in paths().items() if method == "POST"]
 
 
