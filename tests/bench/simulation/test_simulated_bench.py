@@ -311,7 +311,7 @@ def test_command_line_interrupt_exits_with_130(
             for result in simulate_swings(robot, [Ball()], stop=ControlC(wish.is_made, 240)):
                 write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
 
-    monkeypatch.setattr("bench.commands.machine.doctor_bench.all_probes", swing)  # any command will do
+    monkeypatch.setattr("bench.commands.machine.doctor_bench.probes", swing)  # any command will do
     with pytest.raises(SystemExit) as end:
         main(["doctor"])
     assert end.value.code == ExitCode.INTERRUPTED

@@ -129,6 +129,12 @@ def test_page_silent_bench_is_shown_as_stale(
         assert took < 10.0, f"{took:.1f} s"  # 2 s by its own clock; a busy browser paints late
 
 
+def test_page_stop_without_bench_advises_emergency_stop(browser: Any, configuration: Configuration) -> None:
+    with running_page(configuration) as page, open_tab(browser, page.url) as tab:
+        tab.page.click("#stop")
+        tab.text("#outcome").to_contain_text("Use the emergency stop")
+
+
 def test_page_late_answer_from_before_sign_in_is_ignored(
     browser: Any, service: FakeDesk, tmp_path: Path
 ) -> None:
