@@ -31,7 +31,7 @@ from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, run
 from tests.bench.web.conftest import publishing
 from tests.bench.web.running_page import RunningPage, running_page
 from tests.benchmarks.campaign_statistics import Truth
-from tests.waiting import until
+from tests.waiting import wait_until
 
 RECORDS = Path(__file__).parents[2] / "replay"
 SCRIPT = "<script>alert(1)</script>"
@@ -311,7 +311,7 @@ def test_swing_view_from_ring_matches_stored_record(tmp_path: Path, configuratio
     reader.start()
     with closing(reader):
         reader.offer_ring(tmp_path / "none")  # a bench on another machine
-        until(lambda: shown, nudge=lambda: reader.offer_ring(tmp_path / "ring"))
+        wait_until(lambda: shown, nudge=lambda: reader.offer_ring(tmp_path / "ring"))
     assert not shown[0][1]["stored"]
 
 
@@ -323,7 +323,7 @@ def test_swing_reader_running_swing_keeps_waiting_record(
     reader.offer(RECORDS / "swing.parquet")
     reader.offer_ring(tmp_path / "ring", running=True)
     reader.start()
-    until(lambda: shown)
+    wait_until(lambda: shown)
     reader.close()
     assert shown[0]["stored"]
 
@@ -340,5 +340,5 @@ def test_swing_reader_damaged_record_is_skipped(tmp_path: Path, configuration: C
     with closing(reader):
         (tmp_path / "damaged.parquet").write_text("damaged")
         reader.offer(tmp_path / "damaged.parquet")
-        until(lambda: shown, nudge=lambda: reader.offer(RECORDS / "swing.parquet"))
+        wait_until(lambda: shown, nudge=lambda: reader.offer(RECORDS / "swing.parquet"))
     assert shown[0][0] == "swing"

@@ -24,7 +24,7 @@ from bench.config import Configuration
 from bench.web.start_service import CommissioningService
 from tests.bench.web.noting_program import NotingProgram
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
-from tests.waiting import until
+from tests.waiting import wait_until
 
 SCRIPT = "<script>alert(1)</script>"
 DAY = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
@@ -169,7 +169,7 @@ def test_commissioning_page_check_and_start_run_command(
         assert following("commissioner") == {"what": "first-day", "running": True, "text": ""}
         status, content = asked(page, "start", robot="", resume="")
         assert (status, "no other" in content["what"]) == (409, True)
-        until(lambda: len(program.asked) == 2)
+        wait_until(lambda: len(program.asked) == 2)
         given = ["commission", "--sim", f"--output={first}", f"--robot={robots / 'other.toml'}", "--resume"]
         assert program.asked[1] == given
         program.note("fail")

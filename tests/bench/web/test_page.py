@@ -14,7 +14,7 @@ from bench.web.last_swing import SwingReader
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.bench.web.conftest import publishing
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
-from tests.waiting import until
+from tests.waiting import wait_until
 
 NAMES = ("index.html", "page.css", "main.js", "operate.js", "icon.svg")
 
@@ -26,7 +26,7 @@ def begin(running: RunningPlane) -> Iterator[None]:
     running.service.requests.clear()
     running.service.stops.clear()
     yield
-    until(lambda: running.plane.lease() is None)
+    wait_until(lambda: running.plane.lease() is None)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -143,7 +143,7 @@ def test_page_stop_overtakes_waiting_command(running: RunningPlane, page: Runnin
         headers = page.own() | {"golfbench-ticket": ticket}
         body = f'{{"number": "waiting-1", "seen": {time.monotonic()}}}'
         connection.request("POST", "/api/command/reset", body, headers)
-        until(lambda: running.service.requests)
+        wait_until(lambda: running.service.requests)
         assert page.post("/api/stop/stop", {}).status == 200
         assert len(running.service.stops) == 1
     finally:

@@ -31,7 +31,7 @@ from tests.bench.fake_bench_service import FakeDesk, running_plane
 from tests.bench.web.conftest import publishing
 from tests.bench.web.noting_program import NotingProgram
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
-from tests.waiting import until
+from tests.waiting import wait_until
 
 SCRIPT = "<script>alert(1)</script>"
 
@@ -101,7 +101,7 @@ def test_command_line_close_ends_commands(configuration: Configuration, program:
 
     with ThreadPoolExecutor(1) as pool:
         waiting = pool.submit(golfbench.output, "campaign", "run")
-        until(lambda: bool(program.asked), words=lambda: "not started")
+        wait_until(lambda: bool(program.asked), words=lambda: "not started")
         golfbench.close()
         with pytest.raises(BenchError):
             waiting.result(HURRY)
@@ -203,7 +203,7 @@ def test_plan_page_check_and_start_run_command(
         assert following("runner") == {"what": "two-balls", "running": True, "text": ""}
         status, content = entered(page, "/api/plan/two-balls/start", **given)
         assert (status, "no other runner" in content["what"]) == (409, True)
-        until(lambda: len(program.asked) == 2, words=lambda: program.asked)
+        wait_until(lambda: len(program.asked) == 2, words=lambda: program.asked)
         run = program.asked[1]
         options = ["--json", "--by=Ann", "--units=us", "--expect=0123456789abcdef", "--ask", "--"]
         assert run[:-1] == ["campaign", "run", *options]
@@ -220,7 +220,7 @@ def test_background_command_outlives_page(tmp_path: Path, program: NotingProgram
         CommandLine(program.command), log, lambda topic, content: said.append(content), "runner"
     )
     runner.start("x-1", "campaign", "resume", "--", "x-1")
-    until(lambda: bool(program.asked), words=log.read_text)
+    wait_until(lambda: bool(program.asked), words=log.read_text)
     process = runner._process
     assert process is not None
     assert (
@@ -229,7 +229,7 @@ def test_background_command_outlives_page(tmp_path: Path, program: NotingProgram
     unit = (Path(__file__).parents[3] / "systemd" / "golfbench-page@.service").read_text()
     assert "\nKillMode=process\n" in unit
     os.kill(process.pid, signal.SIGKILL)
-    until(lambda: not said[-1]["running"], words=lambda: said)
+    wait_until(lambda: not said[-1]["running"], words=lambda: said)
     assert "exit code -9" in said[-1]["text"]
 
 
@@ -243,7 +243,7 @@ def test_background_command_suspended_campaign_reports_reason(tmp_path: Path) ->
         program, log, lambda topic, content: said.append(content), "runner", outcome=run_outcome
     )
     runner.start("x", "campaign", "run")
-    until(lambda: not said[-1]["running"], words=lambda: said)
+    wait_until(lambda: not said[-1]["running"], words=lambda: said)
     assert said[-1]["text"] == "Suspended: bench b: no answer; 2 shots, 2 valid."
 
 

@@ -46,7 +46,7 @@ from bench.network.zenoh_session import NoAnswer
 from tests.bench.commands.conftest import Run
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.running_bench import running_bench, write_configuration
-from tests.waiting import until
+from tests.waiting import wait_until
 
 F8 = b"\x1b[19~"
 LONGEST = 60.0
@@ -177,7 +177,7 @@ def test_console_lines_stop_key_stops_and_keeps_line(typed: PipeInput, key: str)
     typed.send_text(f"sta{key}")
 
     def finish() -> None:
-        until(lambda: stops)
+        wait_until(lambda: stops)
         typed.send_text("tus\r")
 
     finishing = threading.Thread(target=finish)
@@ -216,7 +216,7 @@ def test_kept_connection_failed_stop_is_shown(file: Path, monkeypatch: pytest.Mo
     connection = KeptConnection(load_address(file))
     monkeypatch.setattr(connection, "client", broken)
     connection.stop()
-    until(lambda: connection.note == "STOP FAILED, use the emergency stop: RuntimeError")
+    wait_until(lambda: connection.note == "STOP FAILED, use the emergency stop: RuntimeError")
 
 
 def test_kept_connection_lost_connection_refuses_and_reconnects(port: int, file: Path) -> None:
@@ -224,17 +224,17 @@ def test_kept_connection_lost_connection_refuses_and_reconnects(port: int, file:
         with pytest.raises(NoAnswer):
             connection.client(stopping=False)
         connection.stop()
-        until(lambda: connection.note.startswith("STOP FAILED, use the emergency stop"))
+        wait_until(lambda: connection.note.startswith("STOP FAILED, use the emergency stop"))
         for state in (State.ARMED, State.READY):  # the second is a bench that started again
             with published_plane(port, state) as running:
-                until(lambda: connection.status)
+                wait_until(lambda: connection.status)
                 assert f"bench bench1  {state.name}" in connection.line(200)
                 assert connection.client(stopping=False).status()["state"] == state.name
                 connection.stop()
-                until(lambda: connection.note.startswith("STOP accepted after "))
+                wait_until(lambda: connection.note.startswith("STOP accepted after "))
                 assert [what for what, _ in running.service.stops] == ["stop"]
-                until(lambda: "  FAULT  " in connection.line(200))
-            until(lambda: connection.status is None)
+                wait_until(lambda: "  FAULT  " in connection.line(200))
+            wait_until(lambda: connection.status is None)
             assert "NO CONNECTION: last state 1 s ago, in FAULT before" in connection.line(200)
             began = time.monotonic()
             with pytest.raises(NoAnswer, match="last state 1 s ago"):
@@ -246,7 +246,7 @@ def test_kept_connection_lost_connection_refuses_and_reconnects(port: int, file:
 def test_kept_connection_silent_bench_accepts_stop(port: int, file: Path) -> None:
     with running_plane(FakeDesk(State.ARMED), loopback_configuration(port)) as running:
         with KeptConnection(load_address(file)) as connection:
-            until(lambda: connection._client)
+            wait_until(lambda: connection._client)
             with pytest.raises(NoAnswer, match="connecting"):
                 connection.client(stopping=False)
             connection.client(stopping=True).stop()
@@ -325,7 +325,7 @@ def test_command_terminal_separates_stop_key_from_command_input(terminal: int) -
         time.sleep(0.005)
         os.write(terminal, b"9~es\r")
         assert sys.stdin.readline() == "yes\n"
-        until(lambda: stops)
+        wait_until(lambda: stops)
         os.write(terminal, b"swing\rhome")
         time.sleep(0.1)
         shown = os.read(terminal, 65536).decode()
@@ -347,7 +347,7 @@ def test_command_terminal_failed_state_line_keeps_stop_key(terminal: int) -> Non
     with CommandTerminal(lambda: stops.append(None), broken, 0.02):
         time.sleep(0.1)
         os.write(terminal, F8)
-        until(lambda: stops)
+        wait_until(lambda: stops)
         assert b"no state: KeyError" in os.read(terminal, 65536)
 
 
@@ -356,7 +356,7 @@ def test_command_terminal_ctrl_c_sends_sigint(terminal: int, monkeypatch: pytest
     monkeypatch.setattr(os, "killpg", lambda group, number: sent.append(number))
     with CommandTerminal(lambda: None, lambda width: "", 0.02):
         os.write(terminal, b"\x03")
-        until(lambda: sent)
+        wait_until(lambda: sent)
     assert sent == [signal.SIGINT]
 
 
@@ -407,9 +407,9 @@ class ConsoleProcess:
 
     def wait_for(self, answer: str, before: int = 0) -> None:
         """Wait for `answer` and the next prompt, in the output from `before` on."""
-        until(lambda: answer in self.shown[before:])
+        wait_until(lambda: answer in self.shown[before:])
         at = self.shown.index(answer, before)
-        until(lambda: "golfbench>" in self.shown[at:])
+        wait_until(lambda: "golfbench>" in self.shown[at:])
         time.sleep(0.1)
 
     def close(self) -> None:
@@ -423,7 +423,7 @@ class ConsoleProcess:
 def console_process(file: Path) -> Iterator[ConsoleProcess]:
     process = ConsoleProcess(file)
     try:
-        until(lambda: "golfbench>" in process.shown)
+        wait_until(lambda: "golfbench>" in process.shown)
         time.sleep(0.2)
         yield process
     finally:
@@ -436,16 +436,16 @@ def test_console_stop_key_stops_waiting_command_and_drops_input(port: int, file:
         service.vents = 10**9  # arm is retried
         shown.line("lease take", answer="each command renews it")
         shown.type(b"arm --wait\r")
-        until(lambda: Request.ARM in service.requests)
+        wait_until(lambda: Request.ARM in service.requests)
         shown.type(b"swing\r")
         shown.type(F8)
-        until(lambda: service.stops)
+        wait_until(lambda: service.stops)
         shown.wait_for("refused in state FAULT")
         service.state = State.READY
         shown.line("status --json", answer='"state": "READY"')
         asked = len(service.requests)
         shown.type(b"arm --wait\r")
-        until(lambda: len(service.requests) > asked)
+        wait_until(lambda: len(service.requests) > asked)
         shown.type(b"\x03")
         shown.wait_for("only the waiting ended")
         shown.line("lease release", answer="lease released")
@@ -471,7 +471,7 @@ def test_console_stop_key_stops_swing(tmp_path: Path, monkeypatch: pytest.Monkey
         shown.type(b"swing\r")
         bench.wait_phase(Phase.BACKSWING)
         shown.type(F8)
-        until(lambda: bench.cause == "OPERATOR_STOP")
+        wait_until(lambda: bench.cause == "OPERATOR_STOP")
         shown.wait_for("stopped by the operator")
         shown.type(b"\x04")
         assert shown.process.wait(LONGEST) == 0

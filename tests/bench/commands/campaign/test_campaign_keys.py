@@ -29,7 +29,7 @@ from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.rows import MAX_COMMENT_LENGTH, CampaignState, ShotNote
-from tests.waiting import until
+from tests.waiting import wait_until
 
 NOW = datetime(2026, 11, 23, 12, 0, tzinfo=UTC)
 
@@ -114,32 +114,32 @@ def test_mark_keys_terminal_without_echo_restores_echo(service: Desk) -> None:
     left[3] &= ~(termios.ICANON | termios.ECHO)
     termios.tcsetattr(service.terminal, termios.TCSANOW, left)
     with keys_of(service) as keys:
-        until(lambda: keys._before is not None)
+        wait_until(lambda: keys._before is not None)
         assert not service.echoes()
         keys.pause()
         assert service.echoes(), "a prompt reads lines"
         keys.resume()
-        until(lambda: not service.echoes())
+        wait_until(lambda: not service.echoes())
     assert service.echoes()
     assert termios.tcgetattr(service.terminal)[3] & termios.ICANON
 
 
 def test_mark_keys_store_mark_after_shot_is_stored(service: Desk) -> None:
     with keys_of(service) as keys:
-        until(lambda: not service.echoes())
+        wait_until(lambda: not service.echoes())
         service.progress["last_shot"] = {"shot": 3}
         os.write(service.master, b"ma gust\r")
-        until(lambda: service.out.getvalue() or not service.notes)
+        wait_until(lambda: service.out.getvalue() or not service.notes)
         assert service.notes == []
         service.stored = 3
-        until(lambda: service.notes)
+        wait_until(lambda: service.notes)
         keys.pause()
         assert service.echoes(), "a prompt reads lines"
         keys.mark("typed at a prompt")
         keys.resume()
-        until(lambda: len(service.notes) == 2 and not service.echoes())
+        wait_until(lambda: len(service.notes) == 2 and not service.echoes())
         os.write(service.master, b"mhalf of i")
-        until(lambda: "half of i" in keys._line.shown)
+        wait_until(lambda: "half of i" in keys._line.shown)
     assert service.echoes()
     assert [(mark.shot, mark.by, mark.text) for mark in service.notes] == [
         (3, "ann", "a gust"),
