@@ -10,7 +10,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import zenoh
@@ -23,9 +24,8 @@ from bench.records.telemetry.batches import Batch, decode_batch
 TOPICS = ("telemetry", "state", "event", "shot", "loop")
 """Last parts of the subscribed keys."""
 
-_MAX_BATCHES = 256
-"""Max queued batches: five seconds, about 10 MB."""
-_MAX_OTHERS = 256
+_QUEUED = 256
+"""Max queued batches, and other messages: five seconds, about 10 MB."""
 
 
 class Arrived(NamedTuple):
@@ -69,8 +69,8 @@ class Feed:
     def __init__(self, session: zenoh.Session, bench: str, topics: Sequence[str] = TOPICS) -> None:
         """Subscribe to `topics` on `session`, closed with the feed."""
         self._session = session
-        self._batches: deque[tuple[float, bytes]] = deque(maxlen=_MAX_BATCHES)
-        self._others: deque[tuple[str, bytes]] = deque(maxlen=_MAX_OTHERS)
+        self._batches: deque[tuple[float, bytes]] = deque(maxlen=_QUEUED)
+        self._others: deque[tuple[str, bytes]] = deque(maxlen=_QUEUED)
         self._arrived = threading.Event()
         self._sequence, self._ring_lost = 0, 0
         self.account = FeedCounts()
@@ -78,7 +78,8 @@ class Feed:
         """Last invalid message."""
         self._subscribers = [
             session.declare_subscriber(
-                f"golfbench/{bench}/{topic}", zenoh.handlers.Callback(self._receiver(topic), indirect=False)
+                f"golfbench/{bench}/{topic}",
+                zenoh.handlers.Callback(partial(self._receive, topic), indirect=False),
             )
             for topic in topics
         ]
@@ -123,18 +124,13 @@ class Feed:
         self.account = self.account._replace(invalid=self.account.invalid + 1)
         self.fault = what
 
-    def _receiver(self, topic: str) -> Callable[[zenoh.Sample], None]:
-        """Return the callback of zenoh's thread, which neither blocks nor raises."""
-
-        def telemetry(sample: zenoh.Sample) -> None:
+    def _receive(self, topic: str, sample: zenoh.Sample) -> None:
+        """Queue a message: called in zenoh's thread, it neither blocks nor raises."""
+        if topic == "telemetry":
             self._batches.append((time.time(), sample.payload.to_bytes()))
-            self._arrived.set()
-
-        def other(sample: zenoh.Sample) -> None:
+        else:
             self._others.append((topic, sample.payload.to_bytes()))
-            self._arrived.set()
-
-        return telemetry if topic == "telemetry" else other
+        self._arrived.set()
 
     def _count(self, batch: Batch) -> None:
         a, first = self.account, self._sequence == 0

@@ -32,21 +32,8 @@ from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.records.telemetry.cycle_record import FIELDS
 from bench.records.telemetry.record_file import SwingRecord
 from bench.viewer.blueprint import Span, campaign_blueprint, shot_blueprint
-from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
-from bench.viewer.scene import (
-    COLOURS,
-    Array,
-    bench_time,
-    log_ball,
-    log_codes,
-    log_limits,
-    log_motion,
-    log_signals,
-    log_static_scene,
-    log_styles,
-    poses_to_draw,
-    send_scalars,
-)
+from bench.viewer.drawing.drawing import plane_to_golf
+from bench.viewer.scene import COLOURS, Array, Scene, bench_time
 from bench.viewer.shots import ShotSeries
 from sim.plant import PlantParameters
 
@@ -57,10 +44,11 @@ _POSE_ROWS = 5
 """Rows of 1 ms between two poses before the downswing."""
 
 
-def log_golfer_scene(recording: rr.RecordingStream, golfer: GolferSwing, plant: PlantParameters) -> None:
+def _log_golfer_scene(scene: Scene, golfer: GolferSwing) -> None:
     """Log place, colours and head path of `golfer` once."""
-    axes, origin = plane_to_golf(plant.robot, plant.site)
-    ball = axes @ np.array([plant.site.ball_x, plant.site.ball_y, 0.0]) + origin
+    recording, site = scene.recording, scene.plant.site
+    axes, origin = plane_to_golf(scene.plant.robot, site)
+    ball = axes @ np.array([site.ball_x, site.ball_y, 0.0]) + origin
     recording.log("scene/golfer", rr.Transform3D(translation=ball, mat3x3=axes), static=True)
     for name, radius in (("body", 0.018), ("club", 0.008)):
         style = rr.LineStrips3D.from_fields(colors=_COLOUR, radii=radius)
@@ -78,14 +66,11 @@ def log_golfer_scene(recording: rr.RecordingStream, golfer: GolferSwing, plant: 
         recording.log(f"signals/{entity}", lines, static=True)
 
 
-def log_golfer(
-    recording: rr.RecordingStream, golfer: GolferSwing, span: tuple[float, float], at_ball: Array
-) -> None:
-    """Log the motion of `golfer` from the start of `span` (s) to the ball at its end.
+def _log_golfer(scene: Scene, golfer: GolferSwing, start: float, struck: float, at_ball: Array) -> None:
+    """Log the motion of `golfer` from `start` to the ball at `struck` (s).
 
     `at_ball` are the robot's joint angles there (3,), rad: the golfer's are drawn within half a turn of them.
     """
-    start, struck = span
     rows = np.arange(len(golfer.time))
     shown = (rows >= golfer.top_row) | (rows % _POSE_ROWS == 0)
     shown &= golfer.time >= start - struck
@@ -94,7 +79,7 @@ def log_golfer(
     for name, roles in (("body", _BODY), ("club", _CLUB)):
         chain = [golfer.position[role][shown] for role in roles if role in golfer.position]
         strips = rr.LineStrips3D.columns(strips=list(np.stack(chain, axis=1)))
-        recording.send_columns(f"scene/golfer/{name}", columns, strips)
+        scene.recording.send_columns(f"scene/golfer/{name}", columns, strips)
     turns = np.round((at_ball - golfer.angle[-1]) / (2 * np.pi))
     speed = np.linalg.norm(np.gradient(golfer.position["head"], golfer.time, axis=0), axis=1)
     end = bench_time(np.array([struck + 1e-3]))  # interrupts the lines before the next swing
@@ -102,8 +87,8 @@ def log_golfer(
         ("angle_deg/golfer", np.degrees(golfer.angle + 2 * np.pi * turns)),
         ("golfer_head_speed_mps", speed[:, None]),
     ):
-        send_scalars(recording, f"signals/{entity}", columns, values[shown])
-        send_scalars(recording, f"signals/{entity}", end, np.full_like(values[:1], np.nan))
+        scene.scalars(f"signals/{entity}", columns, values[shown])
+        scene.scalars(f"signals/{entity}", end, np.full_like(values[:1], np.nan))
 
 
 PAUSE = 0.6
@@ -169,23 +154,23 @@ def write_rrd(path: Path, record: SwingRecord) -> list[Path]:
     """
     shot = recorded_shot(record.cycles, record.metadata, str(record.path))
     with _writing(path, [shot.record], str(record.path)) as recording:
-        log_shots(recording, [shot.record], shot.plant)
+        scene = log_shots(recording, [shot.record], shot.plant)
         metadata = {key: json.dumps(value) for key, value in record.metadata.items()}
         recording.send_property("golfbench", rr.AnyValues(**cast(Any, metadata)))
         if len(record.cycles):
-            _log_fields(recording, record.cycles)
+            _log_fields(scene, record.cycles)
     return [path]
 
 
-def _log_fields(recording: rr.RecordingStream, cycles: np.ndarray[Any, Any]) -> None:
+def _log_fields(scene: Scene, cycles: np.ndarray[Any, Any]) -> None:
     time = bench_time(cycles["time"] - cycles["time"][0])
     for field in FIELDS:
         entity = f"record/{field.name}"
         rows = cycles[field.name].astype(float).reshape(len(cycles), len(field.columns))
-        send_scalars(recording, entity, time, rows)
+        scene.scalars(entity, time, rows)
         names = rr.SeriesLines(names=list(field.components or (field.name,)))
         facts = rr.AnyValues(unit=field.unit, description=field.text)
-        recording.log(entity, names, facts, static=True)
+        scene.recording.log(entity, names, facts, static=True)
 
 
 @contextmanager
@@ -213,21 +198,20 @@ def log_shots(
     plant: PlantParameters,
     progress: Callable[[], None] = lambda: None,
     golfer: GolferSwing | None = None,
-) -> None:
+) -> Scene:
     """Log the scene, then `records` one after another, each with `golfer`; call `progress` after each."""
-    log_static_scene(recording, plant)
-    log_styles(recording)
+    scene = Scene(recording, plant)
     if golfer is not None:
-        log_golfer_scene(recording, golfer, plant)
-    series, start = ShotSeries(recording, bench_time), 0.0
+        _log_golfer_scene(scene, golfer)
+    series, start = ShotSeries(scene), 0.0
     for record in records:
-        passed = None if golfer is None else impact_time(record, plant)
-        if golfer is not None and passed is not None:
+        if golfer is not None and (passed := impact_time(record, plant)) is not None:
             time, angle = record.cycles["time"], record.cycles["angle"]
             at_ball = np.array([np.interp(passed, time, column) for column in angle.T])
-            log_golfer(recording, golfer, (start, start + passed - float(time[0])), at_ball)
-        start = _log_shot(recording, series, record, plant, start) + PAUSE
+            _log_golfer(scene, golfer, start, start + passed - float(time[0]), at_ball)
+        start = _log_shot(scene, series, record, start) + PAUSE
         progress()
+    return scene
 
 
 def _check_whole(written: Path, path: Path) -> None:
@@ -249,27 +233,19 @@ def _incomplete(path: Path, error: Exception) -> NotStored:
     )
 
 
-def _log_shot(
-    recording: rr.RecordingStream,
-    series: ShotSeries,
-    record: ShotRecord,
-    plant: PlantParameters,
-    start: float,
-) -> float:
+def _log_shot(scene: Scene, series: ShotSeries, record: ShotRecord, start: float) -> float:
     """Log one shot starting at `start` (s); return its end (s)."""
     cycles, end = record.cycles, start
-    impact = None if record.flight is None else impact_time(record, plant)
+    scene.interrupt(codes=True)
     if len(cycles):
         time = start + (cycles["time"] - cycles["time"][0])
         end = float(time[-1])
-        log_signals(recording, bench_time, time, cycles, plant)
-        log_limits(recording, bench_time, time[[0, -1]], plant)
-        log_codes(recording, bench_time, time, cycles)
-        log_motion(recording, bench_time, time, cycles, plant, poses_to_draw(cycles, _EVERY))
+        scene.log_limits(time[[0, -1]])
+        scene.log_cycles(time, cycles, _EVERY)
+    impact = None if record.flight is None else impact_time(record, scene.plant)
     struck = None if impact is None else start + impact - float(cycles["time"][0])
-    rest = ball_at_rest(plant.robot, plant.site, plant.ball.radius)
-    log_ball(recording, bench_time, np.array([start]), rest[None])
-    return max(end, series.log_shot(record, start, struck, rest))
+    scene.log_ball(np.array([start]), scene.rest[None])
+    return max(end, series.log_shot(record, start, struck))
 
 
 def impact_time(record: ShotRecord, plant: PlantParameters) -> float | None:

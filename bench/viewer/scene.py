@@ -12,7 +12,6 @@ with its origin at the shoulder axis R1; its bodies turn and move in that plane 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from enum import IntEnum
 from math import degrees, pi
 from typing import Any
 
@@ -23,10 +22,9 @@ from numpy.typing import NDArray
 
 from bench.base.lifecycle import Phase, Reaction, State
 from bench.viewer.drawing.bodies import DrawnBody
-from bench.viewer.drawing.drawing import body_poses, draw, plane_to_golf
+from bench.viewer.drawing.drawing import ball_at_rest, body_poses, draw, plane_to_golf
 from drivers.base import CHAMBERS, JOINTS
-from sim.plant import PlantParameters, Site
-from sim.robot import RobotParameters
+from sim.plant import PlantParameters
 from sim.vectors import Vector
 
 Cycles = np.ndarray[Any, Any]
@@ -151,56 +149,11 @@ def effort_limits(plant: PlantParameters) -> tuple[float, float, float]:
     return shoulder, arm, wrist * plant.wrist_lever
 
 
-def log_signals(
-    recording: rr.RecordingStream, times: Times, time: Array, cycles: Cycles, plant: PlantParameters
-) -> None:
-    """Log every row of `cycles` at `time` (s)."""
-    columns = times(time)
-    for name, values in signals_of(cycles, plant).items():
-        send_scalars(recording, f"signals/{name}", columns, values)
+def _label(code: Any) -> str:
+    return str(code.name).lower().replace("_", " ")
 
 
-def log_limits(recording: rr.RecordingStream, times: Times, time: Array, plant: PlantParameters) -> None:
-    """Log the limits at each `time` (s): they are drawn from the first to the last."""
-    columns = times(time)
-    for name, limits in limits_of(plant).items():
-        send_scalars(recording, f"signals/{name}", columns, np.tile(limits, (len(time), 1)))
-
-
-def send_scalars(recording: rr.RecordingStream, entity: str, times: list[rr.TimeColumn], rows: Array) -> None:
-    """Send `rows` (n, m) as n rows of m scalars."""
-    rows = np.ascontiguousarray(rows)
-    columns = rr.Scalars.columns(scalars=rows.ravel())
-    recording.send_columns(entity, times, columns.partition([rows.shape[1]] * len(rows)))
-
-
-def log_codes(
-    recording: rr.RecordingStream,
-    times: Times,
-    time: Array,
-    cycles: Cycles,
-    before: dict[str, int] | None = None,
-) -> None:
-    """Log state, phase and reaction on change; `before` holds the last logged codes and is updated."""
-    known = {} if before is None else before
-    for name, colours in CODES:
-        codes = cycles[name].astype(int)
-        changed = np.flatnonzero(np.diff(codes, prepend=known.get(name, -1)))
-        known[name] = int(codes[-1])
-        if len(changed):
-            kind = type(next(iter(colours)))
-            words = [code_label(kind(code)) for code in codes[changed]]
-            recording.send_columns(
-                f"signals/{name}", times(time[changed]), rr.StateChange.columns(state=words)
-            )
-
-
-def code_label(code: IntEnum) -> str:
-    """Return the label of `code`."""
-    return code.name.lower().replace("_", " ")
-
-
-def log_styles(recording: rr.RecordingStream) -> None:
+def _log_styles(recording: rr.RecordingStream) -> None:
     """Log names, colours and widths of all signals; static, so that late viewers get them too."""
     joint = COLOURS[:3]
     chamber = [(0, 114, 178), (86, 180, 233), (213, 94, 0), (240, 150, 90), (0, 130, 95), (90, 200, 160)]
@@ -230,30 +183,25 @@ def log_styles(recording: rr.RecordingStream) -> None:
     lines("tick_us", ["late by", "work"], [COLOURS[1], COLOURS[4]], 1.0)
     limits("tick_us", ["period"], [(220, 50, 60)])
     for name, colour_of in CODES:
-        states = rr.StateConfiguration(
-            values=[code_label(code) for code in colour_of], colors=[*colour_of.values()]
-        )
+        states = rr.StateConfiguration(values=list(map(_label, colour_of)), colors=[*colour_of.values()])
         recording.log(f"signals/{name}", states, static=True)
 
 
 # Robot, ball and range -------------------------------------------------------------------------------
 
-YARD = 0.9144
+_YARD = 0.9144
 
-GRASS = (96, 143, 82)
-RANGE = (108, 156, 92)
-MAT = (84, 98, 92)
-LINE = (250, 250, 245)
-BALL = (255, 255, 255)
-PLANE = (88, 110, 140)
-
-_SOLID = rr.components.FillMode.Solid
+_GRASS = (96, 143, 82)
+_RANGE = (108, 156, 92)
+_MAT = (84, 98, 92)
+_LINE = (250, 250, 245)
+_BALL = (255, 255, 255)
+_PLANE = (88, 110, 140)
 
 
-def log_static_scene(recording: rr.RecordingStream, plant: PlantParameters) -> None:
+def _log_scene(recording: rr.RecordingStream, plant: PlantParameters) -> None:
     """Log all shapes once; from then on the robot's bodies only get poses."""
-    robot, site = plant.robot, plant.site
-    axes, origin = plane_to_golf(robot, site)
+    axes, origin = plane_to_golf(plant.robot, plant.site)
 
     def log(path: str, *shapes: Any) -> None:
         recording.log(f"scene/{path}", *shapes, static=True)
@@ -266,14 +214,12 @@ def log_static_scene(recording: rr.RecordingStream, plant: PlantParameters) -> N
     for body in drawing.fixed:
         if body.name != "ball":  # it flies
             log(body.name, _mesh(body))
-    _log_plane(log, robot, site)
-    log("ground", _box((40.0, 0.02, 30.0), (5.0, -0.012, -6.0), GRASS))
-    log("mat", _box((2.6, 0.02, 2.6), (0.0, -0.0105, -0.75), MAT))
-    log(
-        "target_line", rr.LineStrips3D([[[-1.3, 0.002, 0.0], [24.0, 0.002, 0.0]]], colors=[LINE], radii=0.006)
-    )
-    log("ball", rr.Points3D.from_fields(radii=plant.ball.radius, colors=BALL))
-    _log_range(recording)
+    _log_plane(log, plant)
+    log("ground", _box((40.0, 0.02, 30.0), (5.0, -0.012, -6.0), _GRASS))
+    log("mat", _box((2.6, 0.02, 2.6), (0.0, -0.0105, -0.75), _MAT))
+    line = [[-1.3, 0.002, 0.0], [24.0, 0.002, 0.0]]
+    log("target_line", rr.LineStrips3D([line], colors=[_LINE], radii=0.006))
+    log("ball", rr.Points3D.from_fields(radii=plant.ball.radius, colors=_BALL))
 
 
 def _mesh(body: DrawnBody) -> rr.Mesh3D:
@@ -286,25 +232,19 @@ def _mesh(body: DrawnBody) -> rr.Mesh3D:
     )
 
 
-def _log_plane(log: Any, robot: RobotParameters, site: Site) -> None:
+def _log_plane(log: Any, plant: PlantParameters) -> None:
     """Log the swing plane, tilted by the lie angle: its frame above the ground and the head's reach."""
+    robot, ground = plant.robot, plant.site.ground
     side, top, reach = 1.9, 1.9, robot.l12 + robot.l23 + robot.club.length_to_face
-    frame = [(-side, site.ground), (side, site.ground), (side, top), (-side, top), (-side, site.ground)]
+    frame = [(-side, ground), (side, ground), (side, top), (-side, top), (-side, ground)]
     turn = np.linspace(0.0, 2.0 * pi, 145)
     circle = reach * np.column_stack([np.cos(turn), np.sin(turn)])
-    inside = circle[circle[:, 1] > site.ground]
+    inside = circle[circle[:, 1] > ground]
     first = int(np.argmax(np.diff(np.append(np.arctan2(inside[:, 0], -inside[:, 1]), 9.0))))
     arc = np.roll(inside, -first - 1, axis=0)
     strips = [[(x, y, -0.02) for x, y in line] for line in (frame, arc)]
-    log("robot/plane", rr.LineStrips3D(strips, radii=0.004, colors=[PLANE]))
-    words = rr.Points3D(
-        [(0.0, top, -0.02)],
-        labels=[f"swing plane, {degrees(robot.lie):.0f}°"],
-        radii=0.004,
-        colors=[LINE],
-        show_labels=True,
-    )
-    log("robot/plane/label", words)
+    log("robot/plane", rr.LineStrips3D(strips, radii=0.004, colors=[_PLANE]))
+    log("robot/plane/label", _words([(0.0, top, -0.02)], [f"swing plane, {degrees(robot.lie):.0f}°"], 0.004))
 
 
 def _log_range(recording: rr.RecordingStream) -> None:
@@ -313,81 +253,107 @@ def _log_range(recording: rr.RecordingStream) -> None:
     def log(path: str, *shapes: Any) -> None:
         recording.log(f"range/{path}", *shapes, static=True)
 
-    recording.log("range", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
-    length, width = 330 * YARD, 70 * YARD
-    log("grass", _box((length, 0.1, width), (length / 2 - 10, -0.25, 0.0), RANGE))
+    log("", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+    length, width, thin = 330 * _YARD, 70 * _YARD, rr.Radius.ui_points(1.0)
+    log("grass", _box((length, 0.1, width), (length / 2 - 10, -0.25, 0.0), _RANGE))
     marks = range(50, 301, 50)
-    lines = [[(d * YARD, 0.0, -width / 2), (d * YARD, 0.0, width / 2)] for d in marks]
-    log("lines", rr.LineStrips3D(lines, radii=rr.Radius.ui_points(1.0), colors=[LINE]))
-    log(
-        "target_line",
-        rr.LineStrips3D([[(0, 0, 0), (length - 12, 0, 0)]], radii=rr.Radius.ui_points(1.0), colors=[LINE]),
-    )
-    labels = rr.Points3D(
-        [(d * YARD, 0.0, width / 2) for d in marks[1::2]],
-        labels=[f"{d} yd" for d in marks[1::2]],
-        show_labels=True,
-        radii=rr.Radius.ui_points(1.5),
-        colors=[LINE],
-    )
-    log("distances", labels)
+    lines = [[(d * _YARD, 0.0, -width / 2), (d * _YARD, 0.0, width / 2)] for d in marks]
+    log("lines", rr.LineStrips3D(lines, radii=thin, colors=[_LINE]))
+    log("target_line", rr.LineStrips3D([[(0, 0, 0), (length - 12, 0, 0)]], radii=thin, colors=[_LINE]))
+    places = [(d * _YARD, 0.0, width / 2) for d in marks[1::2]]
+    log("distances", _words(places, [f"{d} yd" for d in marks[1::2]], rr.Radius.ui_points(1.5)))
 
 
-def _box(size: Vector, centre: Vector, colour: tuple[int, int, int]) -> rr.Boxes3D:
-    return rr.Boxes3D(sizes=[size], centers=[centre], colors=[colour], fill_mode=_SOLID)
+def _words(places: Sequence[Vector], words: Sequence[str], radius: Any) -> rr.Points3D:
+    return rr.Points3D(places, labels=list(words), radii=radius, colors=[_LINE], show_labels=True)
 
 
-MAX_SPEED = 50.0
+def _box(size: Vector, centre: Vector, colour: Colour) -> rr.Boxes3D:
+    solid = rr.components.FillMode.Solid
+    return rr.Boxes3D(sizes=[size], centers=[centre], colors=[colour], fill_mode=solid)
+
+
+_MAX_SPEED = 50.0
 """Club head speed shown red in the trace, m/s; blue is standstill."""
-
 _QUICK = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 _TRACE_WIDTH = 0.009
 
 
-def poses_to_draw(cycles: Cycles, every: int) -> NDArray[np.bool_]:
-    """Return which cycles are drawn: all while the robot is fast, every `every`-th tick otherwise."""
-    shown: NDArray[np.bool_] = np.isin(cycles["phase"], _QUICK) | (cycles["tick"] % every == 0)
-    return shown
+class Scene:
+    """Robot, range and signals of a bench in a recording, static parts logged; `times` are its time axes."""
 
+    def __init__(
+        self, recording: rr.RecordingStream, plant: PlantParameters, times: Times = bench_time
+    ) -> None:
+        self.recording, self.plant, self.times = recording, plant, times
+        self.rest = ball_at_rest(plant.robot, plant.site, plant.ball.radius)
+        """Centre of the ball on its tee (3,), m."""
+        self._codes: dict[str, int] = {}
+        self._trace: Array | None = None
+        """End of the trace: x, y of the swing plane in m, speed in m/s."""
+        _log_scene(recording, plant)
+        _log_range(recording)
+        _log_styles(recording)
 
-def log_motion(
-    recording: rr.RecordingStream,
-    times: Times,
-    time: Array,
-    cycles: Cycles,
-    plant: PlantParameters,
-    shown: NDArray[np.bool_],
-    before: Array | None = None,
-) -> Array | None:
-    """Log the bodies' poses and the trace of the head for the cycles `shown`.
+    def interrupt(self, *, codes: bool = False) -> None:
+        """Interrupt the trace of the head; with `codes`, also log the codes of the next cycle in any case."""
+        self._trace = None
+        if codes:
+            self._codes = {}
 
-    The trace continues from its end `before` (x, y of the swing plane in m, speed in m/s); returns the new
-    end.
-    """
-    if not shown.any():
-        return before
-    time, cycles = time[shown], cycles[shown]
-    columns = times(time)
-    for name, (translation, quaternion) in body_poses(plant, cycles["angle"]).items():
-        poses = rr.Transform3D.columns(translation=translation, quaternion=quaternion)
-        recording.send_columns(f"scene/robot/{name}", columns, poses)
-    ways = np.column_stack([cycles["head_position"], cycles["head_speed"]])
-    if before is not None:
-        ways, time = np.vstack([before, ways]), np.append(time[:1], time)
-    if len(ways) > 1:
-        axes, origin = plane_to_golf(plant.robot, plant.site)
-        points = ways[:, :2] @ axes[:, :2].T + origin
-        segments = np.stack([points[:-1], points[1:]], axis=1)
-        share = np.clip((ways[:-1, 2] + ways[1:, 2]) / 2 / MAX_SPEED, 0, 1)
-        colours = (colormaps["turbo"](share * 0.9 + 0.05)[:, :3] * 255).astype(np.uint8)
-        trace = rr.LineStrips3D.columns(
-            strips=list(segments), colors=colours, radii=np.full(len(segments), _TRACE_WIDTH, np.float32)
-        )
-        recording.send_columns("scene/trace", times(time[1:]), trace)
-    last: Array = ways[-1]
-    return last
+    def log_cycles(self, time: Array, cycles: Cycles, every: int) -> None:
+        """Log every row of `cycles` at `time` (s): signals, codes on change, poses and the head's trace.
 
+        A pose is logged at each tick while the robot is fast, at every `every`-th one otherwise.
+        """
+        columns = self.times(time)
+        for name, values in signals_of(cycles, self.plant).items():
+            self.scalars(f"signals/{name}", columns, values)
+        self._log_codes(time, cycles)
+        shown = np.isin(cycles["phase"], _QUICK) | (cycles["tick"] % every == 0)
+        if shown.any():
+            self._log_motion(time[shown], cycles[shown])
 
-def log_ball(recording: rr.RecordingStream, times: Times, time: Array, position: Array) -> None:
-    """Log the positions of the ball in the scene, (n, 3) m."""
-    recording.send_columns("scene/ball", times(time), rr.Points3D.columns(positions=position))
+    def log_limits(self, time: Array) -> None:
+        """Log the limits at each `time` (s): they are drawn from the first to the last."""
+        for name, limits in limits_of(self.plant).items():
+            self.scalars(f"signals/{name}", self.times(time), np.tile(limits, (len(time), 1)))
+
+    def log_ball(self, time: Array, position: Array) -> None:
+        """Log the positions of the ball in the scene, (n, 3) m."""
+        self.recording.send_columns("scene/ball", self.times(time), rr.Points3D.columns(positions=position))
+
+    def scalars(self, entity: str, times: list[rr.TimeColumn], rows: Array) -> None:
+        """Send `rows` (n, m) as n rows of m scalars."""
+        rows = np.ascontiguousarray(rows)
+        columns = rr.Scalars.columns(scalars=rows.ravel())
+        self.recording.send_columns(entity, times, columns.partition([rows.shape[1]] * len(rows)))
+
+    def _log_codes(self, time: Array, cycles: Cycles) -> None:
+        for name, colours in CODES:
+            codes = cycles[name].astype(int)
+            changed = np.flatnonzero(np.diff(codes, prepend=self._codes.get(name, -1)))
+            self._codes[name] = int(codes[-1])
+            if len(changed):
+                kind = type(next(iter(colours)))
+                words = rr.StateChange.columns(state=[_label(kind(code)) for code in codes[changed]])
+                self.recording.send_columns(f"signals/{name}", self.times(time[changed]), words)
+
+    def _log_motion(self, time: Array, cycles: Cycles) -> None:
+        columns = self.times(time)
+        for name, (translation, quaternion) in body_poses(self.plant, cycles["angle"]).items():
+            poses = rr.Transform3D.columns(translation=translation, quaternion=quaternion)
+            self.recording.send_columns(f"scene/robot/{name}", columns, poses)
+        ways = np.column_stack([cycles["head_position"], cycles["head_speed"]])
+        if self._trace is not None:
+            ways, time = np.vstack([self._trace, ways]), np.append(time[:1], time)
+        self._trace = ways[-1]
+        if len(ways) > 1:
+            axes, origin = plane_to_golf(self.plant.robot, self.plant.site)
+            points = ways[:, :2] @ axes[:, :2].T + origin
+            segments = np.stack([points[:-1], points[1:]], axis=1)
+            share = np.clip((ways[:-1, 2] + ways[1:, 2]) / 2 / _MAX_SPEED, 0, 1)
+            colours = (colormaps["turbo"](share * 0.9 + 0.05)[:, :3] * 255).astype(np.uint8)
+            widths = np.full(len(segments), _TRACE_WIDTH, np.float32)
+            trace = rr.LineStrips3D.columns(strips=list(segments), colors=colours, radii=widths)
+            self.recording.send_columns("scene/trace", self.times(time[1:]), trace)

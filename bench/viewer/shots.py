@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import ceil, floor
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
-from bench.viewer.scene import COLOURS, Array, Colour, Times, log_ball, send_scalars
+from bench.viewer.scene import COLOURS, Array, Colour, Scene
 from sim.flight import Flight
 
 _YARD, _MPH = 0.9144, 0.44704
@@ -29,45 +29,61 @@ _MAX_ROWS = 40
 
 
 class ShotSeries:
-    """The shots logged so far into `recording` at `times`; one colour per ball."""
+    """The shots logged so far into `scene`; one colour per ball."""
 
-    def __init__(self, recording: rr.RecordingStream, times: Times) -> None:
-        self._recording, self._times = recording, times
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
         self.records: list[ShotRecord] = []
         """Their figures, without cycles and paths: a live view runs for days."""
         self._balls: dict[str, Colour] = {}
-
-    def colour(self, ball: str) -> Colour:
-        """Return the colour of `ball`, the same for all its shots."""
-        return self._balls.setdefault(ball, COLOURS[len(self._balls) % len(COLOURS)])
+        self._flying: Array = np.zeros((0, 5))
+        """Part of the last ball's flight that is not logged yet."""
 
     def log_shot(
-        self, record: ShotRecord, start: float, struck: float | None, rest: Array, latest: float = np.inf
+        self, record: ShotRecord, start: float, struck: float | None, latest: float = np.inf
     ) -> float:
         """Log a shot from `start` with impact at `struck` (s; None without impact); return its end (s).
 
-        `rest` is the ball's place in the scene (3,), m. Nothing is logged after `latest`: a live view
-        computes the whole flight before the ball lands.
+        Nothing is logged after `latest`: a live view computes the whole flight before the ball lands, and
+        continues it with `advance`.
         """
         self.records.append(_figures_only(record))
-        recording, times, shown, end = self._recording, self._times, start, start
+        shown = end = start
         if struck is not None and record.flight is not None:
             end = struck + float(record.flight.path[-1, 0])
             shown = min(struck + record.flight.time, latest)
             self._log_flight(record.shot, record.flight, struck, shown)
-            flown = moving_ball(record, struck)
-            log_moving_ball(recording, times, flown.upto(latest))
-            near = flown.upto(min(latest, struck + 1.0))
-            log_ball(recording, times, near.time, rest + near.position - near.position[0])
-            if end <= latest:
-                log_gap(recording, times, end)
-            self._log_dispersion(times(np.array([shown])))
+            self._flying = _trajectory(record.flight.path, struck)
+            near = self._flying[self._flying[:, 0] <= min(latest, struck + 1.0)]
+            self._scene.log_ball(near[:, 0], self._scene.rest + near[:, 1:4] - near[0, 1:4])
+            self.advance(latest)
+            self._log_dispersion(self._scene.times(np.array([shown])))
         self._log_text(record.shot, start, struck)
-        document(recording, "shots", times(np.array([min(shown, latest)])), shot_table(self.records))
+        self.document("shots", min(shown, latest), shot_table(self.records))
         return end
 
+    def advance(self, now: float) -> None:
+        """Log the last ball on the range up to `now` (s); the line of its speed ends with its flight."""
+        if not len(self._flying):
+            return
+        past = self._flying[:, 0] <= now
+        flown, end, self._flying = self._flying[past], self._flying[-1:, 0], self._flying[~past]
+        speed, times = "signals/ball_speed_mps", self._scene.times
+        if len(flown):
+            self._scene.scalars(speed, times(flown[:, 0]), flown[:, 4:])
+            places = rr.Points3D.columns(positions=flown[:, 1:4])
+            self._scene.recording.send_columns("range/ball", times(flown[:, 0]), places)
+        if not len(self._flying):
+            self._scene.scalars(speed, times(end + 1e-3), np.array([[np.nan]]))
+
+    def document(self, entity: str, at: float, text: str) -> None:
+        """Log `text` (Markdown) at one instant (s)."""
+        words = rr.TextDocument.columns(text=[text], media_type=["text/markdown"])
+        self._scene.recording.send_columns(entity, self._scene.times(np.array([at])), words)
+
     def _log_flight(self, shot: Shot, flight: Flight, struck: float, landed: float) -> None:
-        path, colour, times = flight.path, self.colour(shot.ball), self._times
+        path, times = flight.path, self._scene.times
+        colour = self._balls.setdefault(shot.ball, COLOURS[len(self._balls) % len(COLOURS)])
         entity = f"range/shots/{shot.shot:03d}"
         number = [rr.TimeColumn("shot", sequence=[shot.shot])]
         sparse = np.unique(np.append(np.arange(0, len(path), 4), len(path) - 1))
@@ -81,12 +97,13 @@ class ShotSeries:
 
     def _log_dispersion(self, now: list[rr.TimeColumn]) -> None:
         """Log the landing points of all valid shots, with two standard deviations per ball."""
-        landed = [r for r in self.records if r.flight is not None and r.shot.status is not ShotStatus.FAILED]
-        points = np.array([(r.flight.carry_side, _along(r)) for r in landed if r.flight is not None])
+        shots = [r for r in self.records if r.shot.status is not ShotStatus.FAILED]
+        landed = [(r.shot, flight) for r in shots if (flight := r.flight) is not None]
+        points = np.array([(flight.carry_side, _along(flight)) for _, flight in landed])
         corner, unit = self._log_grid(now, points)
         for location, (ball, colour) in enumerate(self._balls.items()):
-            mine = points[[r.shot.ball == ball for r in landed]]
-            numbers = [str(r.shot.shot) for r in landed if r.shot.ball == ball]
+            mine = points[[shot.ball == ball for shot, _ in landed]]
+            numbers = [str(shot.shot) for shot, _ in landed if shot.ball == ball]
             if not len(mine):
                 continue
             shown = mine * [1.0, -1.0]
@@ -109,11 +126,9 @@ class ShotSeries:
         title = f"**Shot {shot.shot}: {shot.ball}**\n" if shot.ball else f"**Shot {shot.shot}**\n"
         before, after = f"{title}\n{shot.club}, swinging", _figures(title, shot)
         at, texts = ([start], [after]) if struck is None else ([start, struck], [before, after])
-        self._recording.send_columns(
-            "shot",
-            [*self._times(np.array(at)), rr.TimeColumn("shot", sequence=[shot.shot] * len(at))],
-            rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(at)),
-        )
+        times = [*self._scene.times(np.array(at)), rr.TimeColumn("shot", sequence=[shot.shot] * len(at))]
+        words = rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(at))
+        self._scene.recording.send_columns("shot", times, words)
 
     def _log_grid(self, now: list[rr.TimeColumn], points: Array) -> tuple[Array, float]:
         """Log a grid of metres around `points` (n, 2; right, along); return far left corner and length."""
@@ -134,8 +149,8 @@ class ShotSeries:
 
     def _show(self, entity: str, times: list[rr.TimeColumn], columns: Any, style: Any) -> None:
         """Log `columns` at `times` in a constant `style`."""
-        self._recording.send_columns(entity, times, columns)
-        self._recording.log(entity, style, static=True)
+        self._scene.recording.send_columns(entity, times, columns)
+        self._scene.recording.log(entity, style, static=True)
 
 
 def _dot(colour: Colour, size: float, *, labels: bool) -> rr.Points2D:
@@ -150,52 +165,11 @@ def _figures_only(record: ShotRecord) -> ShotRecord:
     return replace(record, cycles=record.cycles[:0].copy(), flight=flight)
 
 
-class MovingBall(NamedTuple):
-    """Trajectory of a ball."""
-
-    time: Array
-    """Times (n,), s of the recording."""
-    position: Array
-    """Positions (n, 3) relative to the impact, m."""
-    speed: Array
-    """Speeds (n,), m/s."""
-
-    def upto(self, latest: float) -> MovingBall:
-        """Return the trajectory up to `latest` (s)."""
-        count = int(np.searchsorted(self.time, latest, side="right"))
-        return MovingBall(*(part[:count] for part in self))
-
-    def after(self, time: float) -> MovingBall:
-        """Return the trajectory after `time` (s)."""
-        count = int(np.searchsorted(self.time, time, side="right"))
-        return MovingBall(*(part[count:] for part in self))
-
-
-def moving_ball(record: ShotRecord, struck: float) -> MovingBall:
-    """Return the trajectory of a ball with impact at `struck` (s); empty without flight."""
-    path = np.zeros((0, 4)) if record.flight is None else record.flight.path
-    speed = (
-        np.linalg.norm(np.gradient(path[:, 1:], path[:, 0], axis=0), axis=1) if len(path) > 1 else path[:, 0]
-    )
-    return MovingBall(struck + path[:, 0], path[:, 1:], speed)
-
-
-def log_moving_ball(recording: rr.RecordingStream, times: Times, ball: MovingBall) -> None:
-    """Log position and speed of the ball on the range."""
-    if len(ball.time):
-        columns = times(ball.time)
-        send_scalars(recording, "signals/ball_speed_mps", columns, ball.speed[:, None])
-        recording.send_columns("range/ball", columns, rr.Points3D.columns(positions=ball.position))
-
-
-def log_gap(recording: rr.RecordingStream, times: Times, end: float) -> None:
-    """Interrupt the line of the ball speed between two flights."""
-    send_scalars(recording, "signals/ball_speed_mps", times(np.array([end + 1e-3])), np.array([[np.nan]]))
-
-
-def document(recording: rr.RecordingStream, entity: str, times: list[rr.TimeColumn], text: str) -> None:
-    """Log `text` (Markdown) at one instant."""
-    recording.send_columns(entity, times, rr.TextDocument.columns(text=[text], media_type=["text/markdown"]))
+def _trajectory(path: Array, struck: float) -> Array:
+    """Return time (s), place from the impact (m) and speed (m/s) of a flight's `path` (n, 4) as (n, 5)."""
+    moved = len(path) > 1
+    speed = np.linalg.norm(np.gradient(path[:, 1:], path[:, 0], axis=0), axis=1) if moved else path[:, 0]
+    return np.column_stack([struck + path[:, 0], path[:, 1:], speed])
 
 
 def shot_table(records: Sequence[ShotRecord]) -> str:
@@ -276,11 +250,9 @@ def _plain(text: str) -> str:
     return text.replace("|", "/").replace("\n", " ")
 
 
-def _along(record: ShotRecord) -> float:
+def _along(flight: Flight) -> float:
     """Return the carry along the target line, m; Flight.carry is the straight distance."""
-    if record.flight is None:
-        return float("nan")
-    return float(np.sqrt(max(0.0, record.flight.carry**2 - record.flight.carry_side**2)))
+    return float(np.sqrt(max(0.0, flight.carry**2 - flight.carry_side**2)))
 
 
 def _ellipse(points: Array) -> Array:

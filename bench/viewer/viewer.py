@@ -25,25 +25,9 @@ from bench.records.shot.recorded_shot import (
 from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING
 from bench.records.telemetry.cycle_record import CYCLE
-from bench.viewer.drawing.drawing import ball_at_rest
 from bench.viewer.feed import Arrived, Feed
-from bench.viewer.scene import (
-    TIMELINE,
-    Array,
-    Cycles,
-    bench_time,
-    log_ball,
-    log_codes,
-    log_limits,
-    log_motion,
-    log_signals,
-    log_static_scene,
-    log_styles,
-    poses_to_draw,
-    send_scalars,
-    signals_of,
-)
-from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball
+from bench.viewer.scene import TIMELINE, Array, Cycles, Scene, bench_time, signals_of
+from bench.viewer.shots import ShotSeries
 from sim.plant import PlantParameters
 
 _BEHIND = 0.001
@@ -134,9 +118,7 @@ def warm_up(plant: PlantParameters, around: FlightConditions) -> None:
     cycles = np.zeros(10, CYCLE)
     cycles["time"], cycles["angle"] = np.arange(10) * 1e-3, [0.571, 4.141, 2 * np.pi]
     cycles["phase"] = Phase.DOWNSWING
-    recording = rr.RecordingStream("golfbench_warm_up")
-    log_signals(recording, bench_time, cycles["time"], cycles, plant)
-    log_motion(recording, bench_time, cycles["time"], cycles, plant, poses_to_draw(cycles, _EVERY))
+    Scene(rr.RecordingStream("golfbench_warm_up"), plant).log_cycles(cycles["time"], cycles, _EVERY)
     warm_up_shots(plant, around)
 
 
@@ -155,24 +137,20 @@ class LiveView:
         self._recording, self._feed, self._bench = recording, feed, bench
         self._plant, self._around = plant, around
         self.axis = ViewClock()
+        self._scene = Scene(recording, plant, self._times)
         self.to_subscriber: deque[float] = deque(maxlen=_AGES)
         """Ages from a tick to its arrival here, s."""
         self.to_rerun: deque[float] = deque(maxlen=_AGES)
         """Ages from a tick to its acceptance by Rerun, s."""
-        self.shots = ShotSeries(recording, self._times)
+        self.shots = ShotSeries(self._scene)
         self._status: Mapping[str, Any] | None = None
         self._loop: Mapping[str, Any] | None = None
-        self._codes: dict[str, int] = {}
-        self._trace: Array | None = None
         self._latency = np.zeros(_BINS, dtype=np.int64)
         self._swinging, self._swing_start = False, 0.0
         self._struck: float | None = None
         """Time of the impact in the last swing; None before, and once its shot is shown."""
-        self._flying: MovingBall | None = None
         self._heard = -np.inf
         self._shown = self._counted = self._limited = -np.inf
-        log_static_scene(recording, plant)
-        log_styles(recording)
 
     def turn(self, timeout: float) -> int:
         """Wait up to `timeout` s for messages and log them; return the number of cycles."""
@@ -181,10 +159,10 @@ class LiveView:
         cycles = self._show_batches(news.batches)
         for topic, message in news.messages:
             self._show_message(topic, message)
-        self._show_flight()
+        self.shots.advance(self.axis.now)
         if now - self._shown >= _SHOWN and (cycles or np.isfinite(self._heard)):
             self._shown = now
-            document(self._recording, "bench", self._times(self._at(now)), self._text(now))
+            self.shots.document("bench", self._at(now), self._text(now))
         if cycles:
             self._recording.flush(timeout_sec=2.0)
             self.to_rerun.append(time.time() - news.batches[-1].batch.time)
@@ -216,23 +194,19 @@ class LiveView:
         # As bytes, since numpy joins records field by field.
         cycles = np.concatenate([part.view(np.uint8) for part, _ in group]).view(group[0][0].dtype)
         at = np.concatenate([location for _, location in group])
-        recording = self._recording
-        log_signals(recording, self._times, at, cycles, self._plant)
-        log_codes(recording, self._times, at, cycles, self._codes)
-        shown = poses_to_draw(cycles, _EVERY)
-        self._trace = log_motion(recording, self._times, at, cycles, self._plant, shown, self._trace)
+        self._scene.log_cycles(at, cycles, _EVERY)
         if at[-1] - self._limited >= _LIMITS:
             self._limited = float(at[-1])
-            log_limits(recording, self._times, at[-1:], self._plant)
+            self._scene.log_limits(at[-1:])
         self._count_latency(cycles, float(at[-1]))
         self._follow_swing(cycles, at)
 
     def _show_hole(self, at: float) -> None:
-        self._trace, self._limited = None, -np.inf
-        self._swinging = False
+        self._scene.interrupt()
+        self._limited, self._swinging = -np.inf, False
         location = self._times(np.array([at - 1e-4]))
         for name, values in signals_of(np.zeros(1, CYCLE), self._plant).items():
-            send_scalars(self._recording, f"signals/{name}", location, np.full_like(values, np.nan))
+            self._scene.scalars(f"signals/{name}", location, np.full_like(values, np.nan))
 
     def _count_latency(self, cycles: Cycles, at: float) -> None:
         """Count wake-up latencies; show the histogram once a second."""
@@ -251,7 +225,7 @@ class LiveView:
         swinging = np.isin(cycles["phase"], SWINGING)
         if swinging.any() and not self._swinging:
             self._swing_start, self._struck = float(at[int(np.argmax(swinging))]), None
-            log_ball(self._recording, self._times, np.array([self._swing_start]), self._ball[None])
+            self._scene.log_ball(np.array([self._swing_start]), self._scene.rest[None])
         self._swinging = bool(swinging[-1])
         if self._struck is None and len(gone := np.flatnonzero(cycles["phase"] == Phase.IMPACT)):
             self._struck = float(at[gone[0]])
@@ -262,19 +236,7 @@ class LiveView:
         start = min(self._swing_start or now, now)
         struck = None if record.flight is None else min(self._struck or now, now)
         self._struck = None
-        self.shots.log_shot(record, start, struck, self._ball, latest=now)
-        if struck is not None and record.flight is not None:
-            self._flying = moving_ball(record, struck).after(now)
-
-    def _show_flight(self) -> None:
-        if self._flying is None:
-            return
-        now = self.axis.now
-        log_moving_ball(self._recording, self._times, self._flying.upto(now))
-        self._flying = self._flying.after(now)
-        if not len(self._flying.time):
-            log_gap(self._recording, self._times, now)
-            self._flying = None
+        self.shots.log_shot(record, start, struck, latest=now)
 
     def _show_message(self, topic: str, message: dict[str, Any]) -> None:
         match topic:
@@ -321,10 +283,6 @@ class LiveView:
         at = np.atleast_1d(np.asarray(at, dtype=float))
         utc = np.round(self.axis.utc(at) * 1e9).astype("datetime64[ns]")
         return [*bench_time(at), rr.TimeColumn(UTC_TIMELINE, timestamp=utc)]
-
-    @property
-    def _ball(self) -> Array:
-        return ball_at_rest(self._plant.robot, self._plant.site, self._plant.ball.radius)
 
     def _text(self, now: float) -> str:
         """Return the status panel of the bench at `now` (s, CLOCK_MONOTONIC) as Markdown."""

@@ -17,8 +17,8 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,7 +30,7 @@ from bench.base.errors import BenchError, ExitCode
 
 LOOPBACK = "127.0.0.1"
 
-_PASSED_ON = ("Content-Type", "Content-Encoding", "Content-Length", "Cache-Control", "ETag")
+_PASSED_ON = ("Content-Type", "Content-Encoding", "Cache-Control", "ETag")
 _TIMEOUT = 30.0
 _MAX_PATH = 4096
 
@@ -53,71 +53,58 @@ def content_policy(data_port: int) -> str:
     )
 
 
-class ViewerPage:
-    """A server on the loopback that forwards the pages of Rerun's server at `source_port`."""
+@contextmanager
+def viewer_page(source_port: int, data_port: int) -> Iterator[int]:
+    """Forward the pages of Rerun's server at `source_port` from a server on the loopback; yield its port."""
+    policy = content_policy(data_port)
 
-    def __init__(self, source_port: int, data_port: int) -> None:
-        """Listen at a free port."""
-        policy = content_policy(data_port)
+    class Handler(BaseHTTPRequestHandler):
+        """Answers GET and HEAD."""
 
-        class Handler(BaseHTTPRequestHandler):
-            """Answers GET and HEAD."""
+        protocol_version = "HTTP/1.1"
+        timeout = _TIMEOUT
 
-            protocol_version = "HTTP/1.1"
-            timeout = _TIMEOUT
+        def do_GET(self) -> None:
+            """Forward a file."""
+            if not self.path.startswith("/") or len(self.path) > _MAX_PATH:
+                self.send_error(404)
+                return
+            source = http.client.HTTPConnection(LOOPBACK, source_port, timeout=_TIMEOUT)
+            try:
+                asked = {"Accept-Encoding": self.headers.get("Accept-Encoding", "identity")}
+                source.request("GET", self.path, headers=asked)
+                answer = source.getresponse()
+                body = answer.read()
+            except (OSError, http.client.HTTPException):
+                self.send_error(502)
+                return
+            finally:
+                source.close()
+            self.send_response(answer.status)
+            for name in _PASSED_ON:
+                if (value := answer.getheader(name)) is not None:
+                    self.send_header(name, value)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Content-Security-Policy", policy)
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.end_headers()
+            if self.command == "GET":
+                self.wfile.write(body)
 
-            def do_GET(self) -> None:
-                """Forward a file."""
-                self._pass_on()
+        do_HEAD = do_GET  # noqa: N815 - the library's name
 
-            do_HEAD = do_GET  # noqa: N815 - the library's name
+        def log_message(self, format: str, *args: object) -> None:
+            """Log nothing."""
 
-            def log_message(self, format: str, *args: object) -> None:
-                """Log nothing."""
-
-            def _pass_on(self) -> None:
-                if not self.path.startswith("/") or len(self.path) > _MAX_PATH:
-                    self.send_error(404)
-                    return
-                source = http.client.HTTPConnection(LOOPBACK, source_port, timeout=_TIMEOUT)
-                try:
-                    asked = {"Accept-Encoding": self.headers.get("Accept-Encoding", "identity")}
-                    source.request("GET", self.path, headers=asked)
-                    answer = source.getresponse()
-                    body = answer.read()
-                except (OSError, http.client.HTTPException):
-                    self.send_error(502)
-                    return
-                finally:
-                    source.close()
-                self.send_response(answer.status)
-                for name in _PASSED_ON:
-                    if name != "Content-Length" and (value := answer.getheader(name)) is not None:
-                        self.send_header(name, value)
-                self.send_header("Content-Length", str(len(body)))
-                self.send_header("Content-Security-Policy", policy)
-                self.send_header("Referrer-Policy", "no-referrer")
-                self.end_headers()
-                if self.command == "GET":
-                    self.wfile.write(body)
-
-        self._server = ThreadingHTTPServer((LOOPBACK, 0), Handler)
-        self._server.daemon_threads = True
-        self.port = int(self._server.server_address[1])
-        self._thread = threading.Thread(target=self._server.serve_forever, name="viewer page", daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+    with ThreadingHTTPServer((LOOPBACK, 0), Handler) as server:
+        server.daemon_threads = True
+        thread = threading.Thread(target=server.serve_forever, name="viewer page", daemon=True)
+        thread.start()
+        try:
+            yield int(server.server_address[1])
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 MEMORY = "2GB"
@@ -145,9 +132,8 @@ def rerun_program() -> Path:
         ViewerFailed: the package has no executable for this machine.
     """
     found = importlib.util.find_spec("rerun_cli")
-    folders = [] if found is None else [Path(location) for location in found.submodule_search_locations or ()]
-    for folder in folders:
-        if (program := folder / "rerun").exists():
+    for folder in (found and found.submodule_search_locations) or ():
+        if (program := Path(folder) / "rerun").exists():
             return program
     raise ViewerFailed(
         "Rerun's viewer",
@@ -165,9 +151,8 @@ def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str,
     """
     quiet = {key: value for key, value in environment.items() if key != _FORCED}
     # It also checks the internet for updates: block that with a proxy that does not exist.
-    quiet |= dict.fromkeys(_PROXIES, f"http://{LOOPBACK}:9") | dict.fromkeys(
-        ("NO_PROXY", "no_proxy"), LOOPBACK
-    )
+    quiet |= dict.fromkeys(_PROXIES, f"http://{LOOPBACK}:9")
+    quiet |= {"NO_PROXY": LOOPBACK, "no_proxy": LOOPBACK}
     quiet |= {"XDG_CONFIG_HOME": str(folder / "config"), "XDG_DATA_HOME": str(folder / "data")}
     command = [str(rerun_program()), "analytics", "disable"]
     subprocess.run(command, env=quiet, capture_output=True, timeout=_START, check=False)
@@ -198,7 +183,7 @@ class RerunWindow:
         if not web and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             expected, action = "one for the viewer's window", "Use --web and a browser, or --save FILE."
             raise BenchError("screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", expected, action)
-        self._page: ViewerPage | None = None
+        self._page_port: int | None = None
         self._stack = ExitStack()
         try:
             folder = Path(self._stack.enter_context(TemporaryDirectory(prefix="golfbench-view-")))
@@ -207,11 +192,9 @@ class RerunWindow:
             self.port = free_port()
             source_port = free_port() if web else None
             arguments = ["--bind", LOOPBACK, "--port", str(self.port), "--hide-welcome-screen"]
-            if source_port is not None:
-                arguments += ["--serve-web", "--web-viewer-port", str(source_port)]
-                arguments += ["--server-memory-limit", MEMORY]
-            else:
-                arguments += ["--memory-limit", MEMORY]
+            shown = ["--memory-limit", MEMORY]
+            served = ["--serve-web", "--web-viewer-port", str(source_port), "--server-memory-limit", MEMORY]
+            arguments += served if web else shown
             self._said = self._stack.enter_context((folder / "said").open("w+b"))
             self._process = subprocess.Popen(
                 [str(rerun_program()), *arguments],
@@ -223,7 +206,7 @@ class RerunWindow:
             self._stack.callback(self._end)
             self._wait_until_it_listens([port for port in (self.port, source_port) if port is not None])
             if source_port is not None:
-                self._page = self._stack.enter_context(ViewerPage(source_port, self.port))
+                self._page_port = self._stack.enter_context(viewer_page(source_port, self.port))
         except BaseException:
             self.close()
             raise
@@ -252,9 +235,9 @@ class RerunWindow:
     @property
     def page(self) -> str | None:
         """URL for a browser on this machine; None without --web."""
-        if self._page is None:
+        if self._page_port is None:
             return None
-        return f"http://{LOOPBACK}:{self._page.port}/?url={quote(self.url, safe='')}"
+        return f"http://{LOOPBACK}:{self._page_port}/?url={quote(self.url, safe='')}"
 
     def close(self) -> None:
         """Close the viewer. May be called twice."""

@@ -21,7 +21,7 @@ from bench.base.address import free_port
 from bench.base.errors import BenchError
 from bench.viewer import window as window_module
 from bench.viewer.blueprint import live_blueprint
-from bench.viewer.scene import bench_time, log_static_scene, log_styles, send_scalars
+from bench.viewer.scene import Scene, bench_time
 from bench.viewer.window import LOOPBACK, RerunWindow, quiet_environment, rerun_program
 from sim.plant import PlantParameters
 from tests.bench.records.telemetry.read_recording import Recording
@@ -67,16 +67,13 @@ def test_rerun_window_late_viewer_receives_static_scene(
 ) -> None:
     monkeypatch.setattr(window_module, "MEMORY", "10MB")  # all but the scene is dropped
     file, rows = tmp_path / "late.rrd", 20_000
-    plant = PlantParameters()
     with RerunWindow(web=True) as window:
         stream = rr.RecordingStream("golfbench")
         stream.set_sinks(rr.GrpcSink(window.url), default_blueprint=live_blueprint())
-        log_static_scene(stream, plant)
-        log_styles(stream)
-        random = np.random.default_rng(1)
+        scene, random = Scene(stream, PlantParameters()), np.random.default_rng(1)
         for part in range(60):
             at = 1e-3 * (part * rows + np.arange(rows, dtype=np.float64))
-            send_scalars(stream, "signals/valve/applied", bench_time(at), random.random((rows, 1)))
+            scene.scalars("signals/valve/applied", bench_time(at), random.random((rows, 1)))
         stream.flush(timeout_sec=HURRY)
         command = [str(rerun_program()), window.url, "--save", str(file), "--bind", LOOPBACK]
         late = subprocess.Popen(
