@@ -17,11 +17,6 @@ step, not the tanh the thesis takes it for. The turn counts from address and is 
 robot that follows it has theta1 = theta1 at address - turn. Table 2 starts it at zero again, so the whole
 swing adds the turn at the top. The right arm's displacement counts from Hunt's zero (unpublished), negative
 is shorter.
-
-The thesis' own swing are the tables of its Appendix B, sample by sample (`thesis_swing`). Each axis has
-separate time and value vectors; the values are tanh curves over an abscissa that is not time. Three seams of
-the original are kept: the backswing ends at 0.68 s and the downswing starts at 0.686 s; the wrist has two
-samples at 0.4 s; and each curve jumps a little where two pieces meet.
 """
 
 from __future__ import annotations
@@ -43,7 +38,7 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 
 BACKSWING_DURATION, DOWNSWING_DURATION = 0.686, 0.1667
-"""Durations in Hunt's functions and in the thesis' tables (s)."""
+"""Durations in Hunt's functions (s)."""
 DOWNSWING_TURN = 11.8028
 """Speed of Hunt's shoulder in the downswing (rad/s)."""
 
@@ -234,61 +229,3 @@ def arm_displacement(t: ArrayLike) -> Array:
     back = step(t, 0.2, 0.0, BACKSWING_DURATION, -0.2035) - 0.03032
     down = step(t - BACKSWING_DURATION, 0.0, 0.0, DOWNSWING_DURATION, 0.2035) - 0.23382
     return np.where(t < BACKSWING_DURATION, back, down)
-
-
-class Table(NamedTuple):
-    """One axis: sample times (s, not decreasing) and values, both (N,)."""
-
-    time: Array
-    value: Array
-
-
-@dataclass(frozen=True)
-class ThesisSwing:
-    """The three tables of Appendix B."""
-
-    shoulder: Table
-    """theta1 from its value at address, rad; 69 + 17 samples"""
-    right_arm: Table
-    """Right arm's displacement, m, negative is shorter; 69 + 17 samples"""
-    wrist: Table
-    """theta3, rad; 41 + 29 + 17 samples"""
-
-    @property
-    def end(self) -> float:
-        """Time of the last sample, s."""
-        return float(self.shoulder.time[-1])
-
-
-def thesis_swing() -> ThesisSwing:
-    """Return the tables of Appendix B, computed as its MATLAB statements do."""
-    back = colon(0.0, 0.01, BACKSWING_DURATION)
-    down = colon(BACKSWING_DURATION, 0.01, BACKSWING_DURATION + DOWNSWING_DURATION)
-
-    shoulder_back = -2.639 * back
-    shoulder_down = 11.80 * (down - back[-1]) + shoulder_back[-1]
-
-    arm_back = -(np.tanh(colon(back[0] - 3.0, 0.088, 3.0)) + 1.0) * 0.10175
-    arm_down = (np.tanh(colon(down[0] - 3.0, 0.33, 3.0)) - 1.0) * 0.1025
-
-    first, second = colon(0.0, 0.01, 0.4), colon(0.4, 0.01, BACKSWING_DURATION)
-    wrist_first = -(np.tanh(colon(first[0] - 3.0, 0.15, 3.0)) - 35.0) * 0.3491 / 2.0
-    wrist_second = -(np.tanh(colon(second[0] - 3.0, 0.2, 3.0)) - 10.233) * 1.058 / 2.0
-    wrist_down = (7.976 + np.tanh(colon(down[0] - 3.0, 0.33, 3.0))) * 1.4 / 2.0
-
-    return ThesisSwing(
-        shoulder=_joined((back, shoulder_back), (down, shoulder_down)),
-        right_arm=_joined((back, arm_back), (down, arm_down)),
-        wrist=_joined((first, wrist_first), (second, wrist_second), (down, wrist_down)),
-    )
-
-
-def colon(start: float, step: float, stop: float) -> Array:
-    """Return start, start + step, … up to stop, as MATLAB's `start:step:stop` counts its samples."""
-    count = int(np.floor((stop - start) / step * (1.0 + 1e-12))) + 1
-    return start + step * np.arange(count, dtype=np.float64)
-
-
-def _joined(*pieces: tuple[Array, Array]) -> Table:
-    times, values = zip(*pieces, strict=True)
-    return Table(np.concatenate(times), np.concatenate(values))
