@@ -67,10 +67,10 @@ class MotionDeviation:
 
     reference: SwingMotion
     other: SwingMotion
-    error: tuple[float, float, float, float]
-    """Root mean square of shoulder, arm, wrist (rad) and head (m), NaN where not measured."""
-    share: tuple[float, float, float, float]
-    """RMS errors as fractions of the reference's ranges."""
+    error: Array
+    """Root mean square (4,) of shoulder, arm, wrist (rad) and head (m), NaN where not measured."""
+    share: Array
+    """RMS errors (4,) as fractions of the reference's ranges."""
     time: Array
     """Times (n,) of the reference's downswing for which `other` has data (s)."""
     beside: Array
@@ -127,26 +127,13 @@ def compare_motions(reference: SwingMotion, other: SwingMotion) -> MotionDeviati
     turns = np.round((beside[-1] - angle[-1]) / (2 * np.pi))
     beside -= 2 * np.pi * np.nan_to_num(turns)
     head_beside = _at(time, other.time, other.head)
-    joints = np.sqrt(np.mean((beside - angle) ** 2, axis=0))
-    away = float(np.sqrt(np.mean(np.sum((head_beside - head) ** 2, axis=1))))
+    away = np.sqrt(np.mean(np.sum((head_beside - head) ** 2, axis=1)))
+    error = np.append(np.sqrt(np.mean((beside - angle) ** 2, axis=0)), away)
     some = whole_head[:: max(len(whole_head) // 50, 1)]
-    across = float(np.linalg.norm(some[:, None] - whole_head[None], axis=2).max())
-    ranges = np.ptp(whole, axis=0)
-    shares = joints / np.where(ranges > _NO_RANGE, ranges, np.nan)
-    return MotionDeviation(
-        reference,
-        other,
-        (float(joints[0]), float(joints[1]), float(joints[2]), away),
-        (
-            float(shares[0]),
-            float(shares[1]),
-            float(shares[2]),
-            away / across if across > _NO_RANGE else np.nan,
-        ),
-        time,
-        beside,
-        head_beside,
-    )
+    across = np.linalg.norm(some[:, None] - whole_head[None], axis=2).max()
+    ranges = np.append(np.ptp(whole, axis=0), across)
+    share = error / np.where(ranges > _NO_RANGE, ranges, np.nan)
+    return MotionDeviation(reference, other, error, share, time, beside, head_beside)
 
 
 def followed_golfer(golfer: GolferSwing, row: MotionDeviation) -> FollowedGolfer:
@@ -155,9 +142,9 @@ def followed_golfer(golfer: GolferSwing, row: MotionDeviation) -> FollowedGolfer
         "sha256": golfer.digest,
         "follow": golfer.follow,
         "head_speed_mps": round(golfer.head_speed, 3),
-        "deviation": [round(share, 5) for share in row.share],
-        "rms_rad": [round(error, 5) for error in row.error[:3]],
-        "rms_head_m": round(row.error[3], 5),
+        "deviation": row.share.round(5).tolist(),
+        "rms_rad": row.error[:3].round(5).tolist(),
+        "rms_head_m": round(float(row.error[3]), 5),
         "definition": DEFINITION,
     }
 

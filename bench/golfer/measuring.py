@@ -25,7 +25,6 @@ from bench.golfer.roles import (
     find_vertical,
     fitted_plane,
     last_level_row,
-    projected_angle,
     turn_about,
 )
 
@@ -57,13 +56,6 @@ def filled(path: Array, rate: float) -> Array:
     return whole
 
 
-def second_differences(path: Array) -> Array:
-    """Return the length of the second difference at each frame (m), 0 at ends and next to gaps."""
-    found = np.zeros(len(path))
-    found[1:-1] = np.nan_to_num(np.linalg.norm(np.diff(path, 2, axis=0), axis=1))
-    return found
-
-
 def smooth(path: Array, rate: float, cutoff: float) -> Array:
     """Return `path` (n, k) through a second-order Butterworth filter, forth and back; `cutoff` in Hz."""
     b, a = butter(2, min(cutoff, 0.4 * rate) / (rate / 2.0))
@@ -82,13 +74,10 @@ def continued(path: Array, rate: float, centre: Array | None = None) -> Array:
         return np.concatenate([path, _polynomial(path, rate, count, 0.080, 3)])
     last = path[-max(int(0.080 * rate), 8) :] - centre
     _, _, axes = np.linalg.svd(last - last.mean(axis=0), full_matrices=False)
-    local = last @ axes.T
-    angle = np.unwrap(np.arctan2(local[:, 1], local[:, 0]))
-    polar = np.column_stack([angle, np.hypot(local[:, 0], local[:, 1]), local[:, 2]])
-    ahead = _polynomial(polar, rate, count, 0.015, 2)
-    turned = np.column_stack(
-        [ahead[:, 1] * np.cos(ahead[:, 0]), ahead[:, 1] * np.sin(ahead[:, 0]), ahead[:, 2]]
-    )
+    x, y, off = (last @ axes.T).T
+    polar = np.column_stack([np.unwrap(np.arctan2(y, x)), np.hypot(x, y), off])
+    angle, distance, off = _polynomial(polar, rate, count, 0.015, 2).T
+    turned = np.column_stack([distance * np.cos(angle), distance * np.sin(angle), off])
     return np.concatenate([path, centre + turned @ axes])
 
 
@@ -99,12 +88,6 @@ def _polynomial(values: Array, rate: float, count: int, span: float, degree: int
     next_ = np.arange(1, count + 1) / rate
     found: Array = np.vander(next_, degree + 1) @ np.polyfit(at, values[-fit:], degree)
     return found
-
-
-def at_times(path: Array, rate: float, start: float, time: Array) -> tuple[Array, Array]:
-    """Return values and derivatives of the frames `path` (n, k), the first at `start` (s), at `time` (s)."""
-    curve = CubicSpline(start + np.arange(len(path)) / rate, path)
-    return curve(time), curve(time, 1)
 
 
 LOSS = "loss of head speed"
@@ -266,7 +249,8 @@ class _Gates(NamedTuple):
         first, end = max(int(self.impact - _CHECKED * rate), 0), int(self.impact) + 1
         for role, path in self.path.items():
             # A jump to and fro shows twice its length in the second difference, one that stays once.
-            jumps = second_differences(path)[first:end]
+            bends = np.nan_to_num(np.linalg.norm(np.diff(path, 2, axis=0), axis=1))
+            jumps = np.pad(bends, 1)[first:end]
             limit = _JUMP + 400.0 / rate**2
             if role != "head" and jumps.max(initial=0.0) > limit:
                 frame = first + int(np.argmax(jumps > limit))
@@ -313,10 +297,8 @@ class _Gates(NamedTuple):
             nearer = float(np.nanmedian(apart("head", "lead_wrist") - apart("head", "trail_wrist")))
             if nearer < -0.02:
                 found = "sides swapped: the trail wrist is above the lead wrist on the club"
-                expected, action = (
-                    "the lead wrist nearer to the end of the grip",
-                    "Correct the markers of the wrists.",
-                )
+                expected = "the lead wrist nearer to the end of the grip"
+                action = "Correct the markers of the wrists."
                 raise self._refusal("lead_wrist", begin, found, expected, action)
 
     def golf_swing(self, swing: MeasuredSwing) -> None:
@@ -365,12 +347,8 @@ def measure(capture: Capture, roles: Roles, options: ImportOptions) -> MeasuredS
     raw = {role: path * scale for role, path in roles.path.items()}
     for role, path in raw.items():
         if np.count_nonzero(~np.isnan(path[:, 0])) < 12:
-            raise capture.error(
-                "less than 12 frames with this marker",
-                "a marker in most frames",
-                "Record again, or assign another marker.",
-                marker=roles.markers[role][0],
-            )
+            found, action = "less than 12 frames with this marker", "Record again, or assign another marker."
+            raise capture.error(found, "a marker in most frames", action, marker=roles.markers[role][0])
     whole = {role: filled(path, capture.rate) for role, path in raw.items()}
     impact = _impact(capture, roles, whole, options)
     vertical, up_words = find_vertical(capture, whole, int(impact.frame), options.up)
@@ -399,12 +377,8 @@ def _impact(capture: Capture, roles: Roles, whole: dict[str, Array], options: Im
     if options.impact is not None:
         frame = (options.impact - capture.start) * capture.rate
         if not 12 <= frame <= len(capture.points) - 1:
-            raise BenchError(
-                "--events impact",
-                f"{options.impact:g} s",
-                "a time within the file",
-                "Correct it to that of the ball.",
-            )
+            given, action = f"{options.impact:g} s", "Correct it to that of the ball."
+            raise BenchError("--events impact", given, "a time within the file", action)
         return Impact(frame, GIVEN)
     role = "head" if "head" in whole else next(role for role in whole if role.endswith("wrist"))
     found = find_impact(whole[role], capture.rate, is_head=role == "head")
@@ -440,7 +414,9 @@ class _Grid:
         ahead = continued(whole[part], self.rate, centre)
         smoothed = smooth(ahead, self.rate, cutoff)
         start = (self.first - self.impact.frame) / self.rate
-        places, self.velocity[role] = at_times(smoothed, self.rate, start, self.time)
+        curve = CubicSpline(start + np.arange(len(smoothed)) / self.rate, smoothed)
+        self.velocity[role] = curve(self.time, 1)
+        places: Array = curve(self.time)
         return places
 
 
@@ -461,7 +437,7 @@ def _in_plane(
     arm = "lead_arm" if "lead_arm" in paths else "lead_shoulder"
     lines = [("trail_shoulder", "lead_shoulder"), (arm, "lead_wrist")]
     lines += [("grip", "head")] if has_club else []
-    turned = [projected_angle(paths[to] - paths[start], plane) for start, to in lines]
+    turned = [turn_about(paths[to] - paths[start], plane.target, plane.up) for start, to in lines]
     speed: dict[str, Array] = {
         role: np.linalg.norm(grid.velocity[role], axis=1) for role in ("lead_wrist", "head") if role in paths
     }
@@ -480,7 +456,7 @@ def _in_plane(
     missing = [] if has_club else ["wrist angle, head path, head speed: no club in the file"]
     separation = _separation(paths, vertical, plane)
     missing += [] if separation is not None else ["X-factor: no pelvis in the file"]
-    before = slice(grid.first, grid.last + 1)
+    before, by_hands = slice(grid.first, grid.last + 1), not has_club and grid.impact.clue == PLACE
     return MeasuredSwing(
         time=grid.time,
         angle=angle,
@@ -491,9 +467,7 @@ def _in_plane(
         club_top_row=club_top,
         top_clue=clue,
         impact_time=capture.start + grid.impact.frame / capture.rate,
-        impact_clue=grid.impact.clue
-        if has_club or grid.impact.clue != PLACE
-        else "hands at their position at address",
+        impact_clue="hands at their position at address" if by_hands else grid.impact.clue,
         plane=plane.inclination(vertical),
         orientation=orientation,
         gaps={role: int(np.count_nonzero(np.isnan(path[before, 0]))) for role, path in raw.items()},
@@ -514,23 +488,15 @@ def _top(capture: Capture, grid: _Grid, hands: Array, options: ImportOptions) ->
         before = options.top - capture.start - grid.impact.frame / capture.rate
         row = (before - grid.time[0]) / STEP
         if not 0.5 < row < len(grid.time) - 50.5:
-            raise BenchError(
-                "--events top",
-                f"{options.top:g} s",
-                "a time before the ball, within the file",
-                "Correct it to the time of the top of the backswing.",
-            )
+            wanted = "a time before the ball, within the file"
+            action = "Correct it to the time of the top of the backswing."
+            raise BenchError("--events top", f"{options.top:g} s", wanted, action)
         return round(row), GIVEN
-    row_ = find_top(grid.time, hands)
-    if row_ is None:
+    if (slowest := find_top(grid.time, hands)) is None:
+        found = "no swing: the hands do not slow down before the ball"
         action = "Export the recording from address on, or give --events top=S."
-        raise capture.error(
-            "no swing: the hands do not slow down before the ball",
-            "a top 0.1 to 0.75 s before the ball",
-            action,
-            int(grid.impact.frame),
-        )
-    return row_, "slowest hands"
+        raise capture.error(found, "a top 0.1 to 0.75 s before the ball", action, int(grid.impact.frame))
+    return slowest, "slowest hands"
 
 
 def _separation(paths: dict[str, Array], vertical: Array, plane: SwingPlane) -> Array | None:
@@ -543,5 +509,4 @@ def _separation(paths: dict[str, Array], vertical: Array, plane: SwingPlane) -> 
         turn_about(paths[f"lead_{part}"] - paths[f"trail_{part}"], plane.target, front)
         for part in ("shoulder", "hip")
     )
-    found: Array = shoulders - hips
-    return found
+    return np.asarray(shoulders - hips)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import encoding_of
@@ -47,9 +48,8 @@ def read_trc(path: Path, content: bytes) -> Capture:
         raise damaged(path, f"{len(names)} markers", "line 4", f"{count:g} as in line 3")
     rows = [(k, line) for k, line in enumerate(lines[4:], 5) if line.strip()][1:]  # the axes come first
     if len(rows) != frames:
-        raise damaged(
-            path, f"{len(rows)} frames", f"line {rows[-1][0] if rows else 5}", f"{frames:g} as in line 3"
-        )
+        last = rows[-1][0] if rows else 5
+        raise damaged(path, f"{len(rows)} frames", f"line {last}", f"{frames:g} as in line 3")
     table = _table(path, [(k, line.rstrip("\r\n").split("\t")[1:]) for k, line in rows], 1 + 3 * len(names))
     return _on_grid(path, names, table, [k for k, _ in rows], header["Units"], rate)
 
@@ -108,9 +108,8 @@ def _on_grid(
     steps = np.diff(time)
     wrong = np.flatnonzero(~(steps > 0.0))
     if len(wrong):
-        raise damaged(
-            path, "a time that does not rise", f"line {lines[int(wrong[0]) + 1]}", "rising times (s)"
-        )
+        where = f"line {lines[int(wrong[0]) + 1]}"
+        raise damaged(path, "a time that does not rise", where, "rising times (s)")
     # Times are rounded to decimals: steps of 8 and 9 ms are 120 Hz. Their mean is more exact than one.
     middle = float(np.sort(steps)[len(steps) // 2])
     step = float(np.mean(steps[np.abs(steps - middle) < 0.5 * middle]))
@@ -120,15 +119,11 @@ def _on_grid(
         raise damaged(path, f"{rate:g} Hz, but frames every {step:.6g} s", "line 3", "one frame rate")
     off = np.abs((time - time[0]) / step - places)
     if off.max() > _JITTER:
-        where = f"line {lines[int(off.argmax())]}"
-        raise damaged(
-            path, f"time {time[off.argmax()]:g} s off the frames", where, f"frames every {step:.5f} s"
-        )
+        found, where = f"time {time[off.argmax()]:g} s off the frames", f"line {lines[int(off.argmax())]}"
+        raise damaged(path, found, where, f"frames every {step:.5f} s")
     if places[-1] >= _MAX_FRAMES:
-        where = f"line {lines[int(np.argmax(steps)) + 1]}"
-        raise damaged(
-            path, f"{steps.max():.6g} s after the frame before", where, f"below {_MAX_FRAMES} frames"
-        )
+        found, where = f"{steps.max():.6g} s after the frame before", f"line {lines[int(steps.argmax()) + 1]}"
+        raise damaged(path, found, where, f"below {_MAX_FRAMES} frames")
     points = np.full((places[-1] + 1, len(names), 3), np.nan)
     points[places] = table[:, 1:].reshape(len(table), -1, 3)
     near = round(1.0 / step, 1)
@@ -202,33 +197,24 @@ def _skeleton(path: Path, lines: list[str]) -> list[_Joint]:
 def _positions(joints: list[_Joint], table: Array) -> Array:
     """Return the positions (frames, named joints, 3) by the angles (deg) and offsets in `table`."""
     count, column = len(table), 0
-    turns: list[Array] = []
+    turns: list[Rotation] = []
     places: list[Array] = []
     for joint in joints:
-        move, turn = np.tile(joint.offset, (count, 1)), np.tile(np.eye(3), (count, 1, 1))
+        move, turn = np.tile(joint.offset, (count, 1)), Rotation.identity(count)
         for channel in joint.channels:
-            values, axis = table[:, column], "XYZ".index(channel[0].upper())
+            values, axis = table[:, column], channel[0].lower()
             column += 1
             if channel.lower().endswith("position"):
-                move[:, axis] = values + (0.0 if joint.parent < 0 else joint.offset[axis])
+                k = "xyz".index(axis)
+                move[:, k] = values + (0.0 if joint.parent < 0 else joint.offset[k])
             else:
-                turn = turn @ _turn(axis, np.radians(values))
+                turn = turn * Rotation.from_euler(axis, values[:, None], degrees=True)
         if joint.parent >= 0:
             above = turns[joint.parent]
-            move = places[joint.parent] + np.einsum("nij,nj->ni", above, move)
-            turn = above @ turn
+            move, turn = places[joint.parent] + above.apply(move), above * turn
         turns.append(turn)
         places.append(move)
     return np.stack([place for joint, place in zip(joints, places, strict=True) if joint.name], axis=1)
-
-
-def _turn(axis: int, angle: Array) -> Array:
-    """Return the rotations (n, 3, 3) about one of the axes by `angle` (rad)."""
-    found = np.tile(np.eye(3), (len(angle), 1, 1))
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    found[:, i, i] = found[:, j, j] = np.cos(angle)
-    found[:, i, j], found[:, j, i] = -np.sin(angle), np.sin(angle)
-    return found
 
 
 _BLOCK = 512
@@ -253,9 +239,8 @@ def read_c3d(path: Path, content: bytes) -> Capture:
         group = read["parameters"]["POINT"]
         points = np.asarray(read["data"]["points"], dtype=float)
         count = points.shape[1]
-        names = [
-            str(name).strip() for key in ("LABELS", "LABELS2") if key in group for name in group[key]["value"]
-        ]
+        labels = [group[key]["value"] for key in ("LABELS", "LABELS2") if key in group]
+        names = [str(name).strip() for some in labels for name in some]
         unit = group["UNITS"]["value"][0] if group.get("UNITS", {}).get("value") else ""
         rate = float(read["header"]["points"]["frame_rate"])
     except (OSError, RuntimeError, ValueError, KeyError, IndexError, MemoryError) as error:

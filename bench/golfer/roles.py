@@ -118,15 +118,13 @@ def find_roles(capture: Capture, map_path: Path | None = None) -> Roles:
     needed += CLUB if club else ()
     for role in needed:
         if role not in chosen:
+            found = f"no marker for {role} among {_listed(capture)}"
             action = f"Assign the markers with --markers MAP.toml: {_FORM}."
-            raise capture.error(
-                f"no marker for {role} among {_listed(capture)}", "a marker of each role", action
-            )
+            raise capture.error(found, "a marker of each role", action)
     for name in {name for names in chosen.values() for name in names}:
         if capture.names.count(name) > 1:
-            raise capture.error(
-                "two markers of this name", "different names", "Rename one of them.", marker=name
-            )
+            found, action = "two markers of this name", "Rename one of them."
+            raise capture.error(found, "different names", action, marker=name)
     path, markers, dropped = {}, {}, list[str]()
     for role, names in chosen.items():
         kept = _kept(capture, names)
@@ -186,18 +184,13 @@ def _read_map(capture: Capture, path: Path) -> dict[str, tuple[str, ...]]:
     known = [f"{side}_{part}" for side in ("lead", "trail", "left", "right") for part in SIDED] + list(CLUB)
     found: dict[str, tuple[str, ...]] = {}
     for role, value in raw.items():
+        location = f"{path}, {role}"
         if role not in known:
-            raise BenchError(
-                f"{path}, {role}",
-                "no such role",
-                f"one of {', '.join(known)}",
-                did_you_mean(role, known, "Correct the role."),
-            )
+            action = did_you_mean(role, known, "Correct the role.")
+            raise BenchError(location, "no such role", f"one of {', '.join(known)}", action)
         names = [value] if isinstance(value, str) else value
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-            raise BenchError(
-                f"{path}, {role}", repr(value)[:60], "a list of names of markers", f"Write {_FORM}."
-            )
+            raise BenchError(location, repr(value)[:60], "a list of names of markers", f"Write {_FORM}.")
         for name in names:
             if _find(capture, name) is None:
                 action = did_you_mean(name, capture.names, f"The file has {_listed(capture)}.")
@@ -248,31 +241,15 @@ def last_level_row(from_: Array, to: Array, vertical: Array) -> int:
     return int(rows[-1]) if len(rows) else 0
 
 
-def projected_angle(vectors: Array, plane: SwingPlane) -> Array:
-    """Return the angles (n,) of `vectors` (n, 3) in the plane from the level towards the target (rad)."""
-    found: Array = np.unwrap(np.arctan2(vectors @ plane.up, vectors @ plane.target))
-    return found
-
-
 def turn_about(vectors: Array, target: Array, front: Array) -> Array:
-    """Return the rotation (rad) of horizontal lines (n, 3) from the target, positive towards `front`."""
+    """Return the angles (n,) of `vectors` (n, 3) from the target towards `front`, in their plane (rad)."""
     found: Array = np.unwrap(np.arctan2(vectors @ front, vectors @ target))
     return found
 
 
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-_ALIASES = {
-    "meter": "m",
-    "meters": "m",
-    "metre": "m",
-    "metres": "m",
-    "centimeters": "cm",
-    "centimetres": "cm",
-    "millimeters": "mm",
-    "millimetres": "mm",
-    "inch": "in",
-    "inches": "in",
-}
+_ALIASES = {"meter": "m", "centimeter": "cm", "millimeter": "mm", "inch": "in", "inche": "in"}
+"""Units written out, without the plural's s and in American spelling."""
 _FOUND = ("m", "cm", "mm")
 """Units that sizes alone decide."""
 _ARM = 0.42, 0.80
@@ -305,9 +282,13 @@ def find_scale(capture: Capture, roles: Roles) -> tuple[float, str]:
         BenchError: the sizes are not a person's, or the unit is unknown.
     """
     arm, shoulders = _sizes(roles)
-    fits = [unit for unit, scale in _UNITS.items() if _is_person(scale * arm, scale * shoulders)]
+    fits = [
+        unit
+        for unit, scale in _UNITS.items()
+        if _ARM[0] <= scale * arm <= _ARM[1] and _SHOULDERS[0] <= scale * shoulders <= _SHOULDERS[1]
+    ]
     declared = capture.unit.lower()
-    declared = _ALIASES.get(declared, declared)
+    declared = _ALIASES.get(declared.removesuffix("s").replace("metre", "meter"), declared)
     if declared:
         if declared not in _UNITS:
             raise capture.error(f"unit {capture.unit[:20]}", f"one of {', '.join(_UNITS)}", "Export in mm.")
@@ -339,10 +320,6 @@ def _sizes(roles: Roles) -> tuple[float, float]:
     return max(arms), long(f"{first}_shoulder", f"{second}_shoulder")
 
 
-def _is_person(arm: float, shoulders: float) -> bool:
-    return _ARM[0] <= arm <= _ARM[1] and _SHOULDERS[0] <= shoulders <= _SHOULDERS[1]
-
-
 def _arm_markers(roles: Roles) -> str:
     side = "left" if roles.by_side else "lead"
     return " to ".join(roles.markers[f"{side}_{part}"][0] for part in ("shoulder", "wrist"))
@@ -362,12 +339,8 @@ def find_vertical(capture: Capture, whole: dict[str, Array], frame: int, stated:
         vertical = np.zeros(3)
         vertical[axis] = -1.0 if stated.startswith("-") else 1.0
         if rising @ vertical <= 0.0:
-            raise BenchError(
-                "--up",
-                stated,
-                f"an axis in which the shoulders are above the {low}",
-                "Leave --up out, or correct it.",
-            )
+            wanted = f"an axis in which the shoulders are above the {low}"
+            raise BenchError("--up", stated, wanted, "Leave --up out, or correct it.")
         return vertical, f"{stated.upper()}, by --up"
     sizes = np.abs(rising)
     axis = int(np.argmax(sizes))
@@ -403,22 +376,15 @@ def find_sides(
             clue += "; the file's axes are left-handed, or its left and right are swapped"
     else:
         if not lead_is_first:
+            found, action = "the trail shoulder is nearer to the target", "Swap lead_ and trail_ in the map."
             raise capture.error(
-                "sides swapped: the trail shoulder is nearer to the target",
-                "the lead shoulder nearer",
-                "Swap lead_ and trail_ in the map.",
-                frame,
-                "shoulders",
+                f"sides swapped: {found}", "the lead shoulder nearer", action, frame, "shoulders"
             )
         lead = "left" if faces_ball else "right"
         clue = "by the map and the side of the ball"
     if stated and stated != lead:
-        raise capture.error(
-            f"lead {lead}, {clue}",
-            f"lead {stated} as in --lead",
-            "Leave --lead out, or correct the markers.",
-            frame,
-        )
+        action = "Leave --lead out, or correct the markers."
+        raise capture.error(f"lead {lead}, {clue}", f"lead {stated} as in --lead", action, frame)
     lead_side, trail_side = (first, second) if lead_is_first else (second, first)
     named = {
         f"{new}_{part}": f"{old}_{part}"
@@ -426,4 +392,4 @@ def find_sides(
         for part in SIDED
         if f"{old}_{part}" in whole
     }
-    return named | {role: role for role in ("grip", "head") if role in whole}, (lead, clue)
+    return named | {role: role for role in CLUB if role in whole}, (lead, clue)

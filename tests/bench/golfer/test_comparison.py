@@ -36,7 +36,6 @@ def _as_golfer(motion: SwingMotion) -> SwingMotion:
 
 def test_compare_motions_same_swing_has_zero_error(motion: SwingMotion) -> None:
     found = compare_motions(_as_golfer(motion), motion)
-
     assert found.error == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-9)
     assert motion.time[-1] >= 0.0
     assert motion.head[-1] == pytest.approx([0.0, 0.0], abs=0.05)
@@ -44,9 +43,7 @@ def test_compare_motions_same_swing_has_zero_error(motion: SwingMotion) -> None:
 
 def test_compare_motions_constant_shift_divides_by_range(motion: SwingMotion) -> None:
     shifted = replace(motion, angle=motion.angle + [0.1, 0.0, 2 * np.pi], head=motion.head + [0.03, 0.04])
-
     found = compare_motions(_as_golfer(motion), shifted)
-
     rows = motion.time >= -motion.downswing - 1e-9
     down = motion.angle[rows]
     assert found.error == pytest.approx((0.1, 0.0, 0.0, 0.05))
@@ -57,16 +54,13 @@ def test_compare_motions_constant_shift_divides_by_range(motion: SwingMotion) ->
 def test_compare_motions_missing_instants_do_not_count(motion: SwingMotion) -> None:
     late = motion.time >= -motion.downswing / 2
     begins_late = replace(motion, time=motion.time[late], angle=motion.angle[late], head=motion.head[late])
-
     found = compare_motions(_as_golfer(motion), begins_late)
-
     assert found.time[0] >= begins_late.time[0]
     assert found.error == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-9)
 
 
 def test_compare_motions_time_shift_raises_error(motion: SwingMotion) -> None:
     late = replace(motion, time=motion.time - 0.010)
-
     assert compare_motions(_as_golfer(motion), late).error[0] > 0.005
 
 
@@ -86,9 +80,7 @@ def test_compare_motions_two_captures_of_same_swing_agree(noise: float, tmp_path
         swing = measure(capture, roles, ImportOptions())
         saved = save_golfer(tmp_path, path.stem, swing, capture, roles)
         motions.append(golfer_motion(plant, load_golfer(saved)))
-
     found = compare_motions(*motions)
-
     assert max(found.share) < 0.01
     true = np.ptp(angles(BALL + np.arange(-motions[0].downswing, 0.0, 1e-3)), axis=0)
     down = motions[0].angle[motions[0].time >= -motions[0].downswing]
@@ -97,9 +89,7 @@ def test_compare_motions_two_captures_of_same_swing_agree(noise: float, tmp_path
 
 def test_compare_motions_unmeasured_joint_gives_nan(plant: PlantParameters, motion: SwingMotion) -> None:
     body = _as_golfer(replace(motion, angle=motion.angle * [1.0, 1.0, np.nan], head=motion.head * np.nan))
-
     found = compare_motions(body, motion)
-
     assert found.share[:2] == pytest.approx((0.0, 0.0), abs=1e-9)
     assert np.isnan(found.share[2:]).all()
     assert np.isnan(beyond_ranges(plant, body.angle)[2])
@@ -109,7 +99,6 @@ def test_beyond_ranges_returns_excess(plant: PlantParameters) -> None:
     middle = [(plant.shoulder.lower + plant.shoulder.upper) / 2, 4.2, plant.wrist.upper - 0.1]
     within = np.array([middle, middle])
     further = within + [[0.0, 0.0, 0.0], [0.0, 0.0, 0.3]]
-
     assert beyond_ranges(plant, within) == (0.0, 0.0, 0.0)
     assert beyond_ranges(plant, further) == pytest.approx((0.0, 0.0, 0.2))
 

@@ -71,7 +71,6 @@ def test_measure_synthetic_golfer_matches_known_angles(
     golfer: Synthetic, suffix: str, tmp_path: Path
 ) -> None:
     swing = imported(recorded(golfer, tmp_path / f"swing{suffix}"))
-
     away = errors(swing)
     assert np.sqrt(np.mean(away**2, axis=0)).max() < 0.5
     assert np.abs(away[0]).max() < 0.5
@@ -91,9 +90,7 @@ def test_measure_synthetic_golfer_matches_known_angles(
 def test_measure_short_downswing_gap_keeps_impact_and_angles(role: str, tmp_path: Path) -> None:
     golfer = Synthetic()
     whole = imported(recorded(golfer, tmp_path / "whole.csv"))
-
     swing = imported(recorded(golfer, tmp_path / "gaps.csv", {role: (290, 295)}))
-
     assert sum(swing.gaps.values()) == 5
     assert abs(swing.impact_time - whole.impact_time) < 0.001
     assert np.abs(swing.angle[[swing.top_row, -1]] - whole.angle[[whole.top_row, -1]]).max() < np.radians(0.1)
@@ -107,9 +104,7 @@ def test_measure_short_downswing_gap_keeps_impact_and_angles(role: str, tmp_path
 )
 def test_measure_other_recording_of_same_swing_gives_same_angles(other: Synthetic, tmp_path: Path) -> None:
     swing = imported(recorded(Synthetic(), tmp_path / "one.csv"))
-
     same = imported(recorded(other, tmp_path / "other.csv"))
-
     assert swing.impact_time == pytest.approx(same.impact_time, abs=1e-4)
     assert np.abs(swing.angle - same.angle).max() < np.radians(0.02)
     assert swing.separation == pytest.approx(same.separation, abs=1e-3)
@@ -121,9 +116,7 @@ def test_measure_mirrored_points_reports_left_handed_axes_and_keeps_angles(
     golfer = Synthetic()
     names, points = golfer.recording()
     swing = imported(write(tmp_path / "one.csv", names, points, golfer.rate))
-
     mirrored = imported(write(tmp_path / "other.csv", names, points * [-1.0, 1.0, 1.0], golfer.rate))
-
     assert mirrored.orientation.lead == "left"
     assert "axes are left-handed" in mirrored.orientation.lead_clue
     assert np.abs(swing.angle - mirrored.angle).max() < np.radians(0.02)
@@ -131,9 +124,7 @@ def test_measure_mirrored_points_reports_left_handed_axes_and_keeps_angles(
 
 def test_measure_without_club_markers_gives_shoulders_and_arm_only(tmp_path: Path) -> None:
     body = "\n".join(line for line in MAP.splitlines() if not line.startswith(("grip", "head")))
-
     swing = imported(recorded(Synthetic(), tmp_path / "body.csv"), map_text=body)
-
     assert np.isnan(swing.angle[:, 2]).all()
     assert "head" not in swing.speed
     assert any("no club" in text for text in swing.not_measured)
@@ -143,18 +134,14 @@ def test_measure_without_club_markers_gives_shoulders_and_arm_only(tmp_path: Pat
 def test_find_roles_lead_trail_map_gives_same_angles(tmp_path: Path) -> None:
     path = recorded(Synthetic(), tmp_path / "swing.csv")
     by_side = imported(path)
-
     by_lead = imported(path, map_text=MAP.replace("left_", "lead_").replace("right_", "trail_"))
-
     assert by_lead.orientation.lead == "left"
     assert np.array_equal(by_side.angle, by_lead.angle)
 
 
 def test_import_options_top_and_impact_override_detection(tmp_path: Path) -> None:
     path = recorded(Synthetic(), tmp_path / "swing.csv")
-
     swing = imported(path, options=ImportOptions(top=1.06, impact=1.31))
-
     assert swing.impact_time == pytest.approx(1.31)
     assert swing.time[swing.top_row] == pytest.approx(-0.25, abs=1e-3)
     assert swing.impact_clue == swing.top_clue == "--events"
@@ -162,7 +149,6 @@ def test_import_options_top_and_impact_override_detection(tmp_path: Path) -> Non
 
 def test_measure_reports_off_plane_lead_shoulder_and_hub_travel(tmp_path: Path) -> None:
     swing = imported(recorded(Synthetic(), tmp_path / "swing.csv"))
-
     assert 0.24 < swing.off_plane["lead_shoulder"] < 0.30
     assert swing.off_plane["head"] < 0.005
     assert swing.hub_travel[0] > 0.02

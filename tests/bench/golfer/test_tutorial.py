@@ -18,8 +18,6 @@ def test_golfer_tutorial_configuration_and_plan_load(tmp_path: Path, monkeypatch
     configuration, plan = re.findall(r"```toml\n(.*?)```", TUTORIAL.read_text(), flags=re.DOTALL)
     Path("config.toml").write_text(configuration)
     Path("anna-balls.toml").write_text(plan)
-
     loaded = load_plan(Path("anna-balls.toml"), load_configuration(Path("config.toml")))
-
     assert loaded.design.swings == ("anna.toml",)
     assert f"--profile {loaded.design.swings[0]}" in TUTORIAL.read_text()
