@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from cmath import exp, phase
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import acos, asin, atan2, degrees, inf, pi, radians, sin
 from typing import Any, NamedTuple
 
@@ -45,6 +45,7 @@ from bench.design.refine import (
     NEAR,
     SHAFT_DOWN,
     UNITS,
+    Backswing,
     LoopFailed,
     NotReached,
     Shooter,
@@ -100,22 +101,6 @@ also takes the energy that the arm's absorber passes on."""
 
 class DesignFailed(RuntimeError):
     """No swing meets the demand; the text gives the reason."""
-
-
-@dataclass(frozen=True)
-class _Start:
-    """The nominal swing up to the top: where it leaves the plant, and the tables that lead there."""
-
-    plant_state: NDArray[Any]
-    command: NDArray[Any]
-    opening: Array
-    """Last applied openings."""
-    angle: Array
-    velocity: Array
-    valve: Array
-    begins: tuple[int, int, int]
-    air: tuple[float, ...]
-    """Planned pressures of the six chambers at the address, Pa absolute."""
 
 
 class Downswing(NamedTuple):
@@ -232,9 +217,9 @@ def _sketch(
     )
 
 
-def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
+def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> Backswing:
     """Let the controller take the plant to the top; the result is the nominal motion."""
-    parameters, period = bench.plant, bench.plant.tick
+    parameters = bench.plant
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
     pid = pid_record(bench.control, bench.estimator, parameters)
     sketch = _sketch(demand, parameters, address, top, pid)
@@ -242,21 +227,11 @@ def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
         sketch = with_planned_air(sketch, parameters)
     except ValueError as error:
         raise DesignFailed(f"at the address: {error}") from None
-    n = round((demand.backswing_time + demand.top_time) / period)
+    n = round((demand.backswing_time + demand.top_time) / parameters.tick)
     try:
-        found = learned_backswing(replace(bench, profile=sketch), pid, n, 1.0 - demand.margin)
+        return learned_backswing(replace(bench, profile=sketch), pid, n, 1.0 - demand.margin)
     except LoopFailed as failure:
         raise DesignFailed(f"on the way to the top: {failure}") from None
-    return _Start(
-        found.rehearsal.bench.plant_state.copy(),
-        found.rehearsal.bench.command.copy(),
-        found.cycles["applied_valve"][-1].copy(),
-        sketch.angle[:n],
-        sketch.velocity[:n],
-        found.profile.valve[:n],
-        (0, 1, round(demand.backswing_time / period)),
-        sketch.air,
-    )
 
 
 def _first_guess(parameters: PlantParameters, state: Array, demand: SwingDemand) -> tuple[float, Array]:
@@ -377,8 +352,9 @@ def _loads(trial: ShootingTrial, parameters: PlantParameters, demand: SwingDeman
     return np.asarray(np.maximum(worst - demand.missed_share * ratings, struck)[1:])
 
 
-def _shooter(bench: SimulatedBench, begun: _Start) -> Shooter:
-    return Shooter(build_plant(bench.plant), begun.plant_state, begun.command, bench.control, _SILENCES)
+def _shooter(bench: SimulatedBench, begun: Backswing) -> Shooter:
+    top = begun.rehearsal.bench
+    return Shooter(build_plant(bench.plant), top.plant_state, top.command, bench.control, _SILENCES)
 
 
 def _initial_guess(
@@ -401,7 +377,7 @@ def _initial_guess(
 
 
 def design_downswing(
-    bench: SimulatedBench, demand: SwingDemand, start: Profile | None, begun: _Start, progress: Progress
+    bench: SimulatedBench, demand: SwingDemand, start: Profile | None, begun: Backswing, progress: Progress
 ) -> Downswing:
     """Return a downswing whose valve commands meet `demand` on the plant.
 
@@ -547,53 +523,35 @@ def fastest_plan(configuration: Configuration, demand: SwingDemand) -> Downswing
     return solve_downswing(bench.plant, problem, time, guess, _INTERVALS)
 
 
-def _model_state(begun: _Start) -> Array:
+def _model_state(begun: Backswing) -> Array:
     """Return the model's state (16,) at the top, where a joint may still be on its way."""
-    before, state = begun.plant_state[0], np.zeros(STATES)
+    before, state = begun.rehearsal.bench.plant_state[0], np.zeros(STATES)
     state[:3], state[3:6] = before["angle"], before["speed"]
     state[6:12] = before["pressure"] / BAR
     state[12] = before["supply_pressure"] / BAR
     return state
 
 
-def _assemble(
-    parameters: PlantParameters,
-    demand: SwingDemand,
-    begun: _Start,
-    opening: Array,
-    trial: ShootingTrial,
-    name: str,
-    golfer: str,
-) -> Profile:
+def _assemble(bench: SimulatedBench, demand: SwingDemand, begun: Backswing, downswing: Downswing) -> Profile:
     """Return the profile with the robot left where it is at the ball for the follow-through."""
-    period = parameters.tick
-    top, contact, follow = len(begun.angle), trial.contact, round(demand.follow_time / period)
-    past = follow + AFTER_CONTACT
-    angle = np.vstack([begun.angle, trial.angle[:contact], np.tile(trial.angle[contact], (past, 1))])
+    up, top, trial, period = begun.profile, len(begun.cycles), downswing.trial, bench.plant.tick
+    contact, past = trial.contact, round(demand.follow_time / period) + AFTER_CONTACT
+    angle = np.vstack([up.angle[:top], trial.angle[:contact], np.tile(trial.angle[contact], (past, 1))])
     window = top + contact - BEFORE_CONTACT
-    return Profile(
-        name=name,
-        text="",
-        golfer=golfer,
-        club=parameters.robot.club.name,
-        period=period,
-        begins=(
-            *begun.begins,
-            top,
-            window - round(demand.no_return_time / period),
-            window,
-            top + contact + AFTER_CONTACT,
-        ),
+    committed, end = window - round(demand.no_return_time / period), top + contact + AFTER_CONTACT
+    still = np.zeros((past, 3))
+    return replace(
+        up,
+        name=bench.profile.name,
+        golfer=bench.profile.golfer,
+        club=bench.plant.robot.club.name,
+        begins=(*up.begins[:3], top, committed, window, end),
         angle=angle,
         # At rest in the first row: the tick before the downswing must not depend on it.
-        velocity=np.vstack([begun.velocity, np.zeros(3), trial.speed[1:contact], np.zeros((past, 3))]),
-        valve=np.vstack([begun.valve, opening[:contact], np.zeros((past, 3))]),
-        blind_spacing=SPACING,
+        velocity=np.vstack([up.velocity[:top], np.zeros(3), trial.speed[1:contact], still]),
+        valve=np.vstack([up.valve[:top], downswing.opening[:contact], still]),
         blind_brake=np.zeros(((len(angle) - 1) // SPACING + 1, 6)),
-        ball=(parameters.site.ball_x, parameters.site.ball_y),
         impact_time=(top + contact) * period,
-        air=begun.air,
-        air_supply=parameters.supply.pressure,
     )
 
 
@@ -601,15 +559,16 @@ def _with_figures(
     profile: Profile,
     parameters: PlantParameters,
     state: NDArray[Any],
+    delivered: Array,
     demand: SwingDemand,
     trial: ShootingTrial,
 ) -> Profile:
-    """Return `profile` with its delivery in closed loop and the limits it was made for."""
-    error, lean, *velocity = _delivered(state, parameters)[:4]
+    """Return `profile` with what was `delivered` in closed loop and the limits it was made for."""
+    error, lean, *velocity = delivered[:4]
     speed, slope, lie = float(np.hypot(*velocity)), atan2(velocity[1], velocity[0]), parameters.robot.lie
     return replace(
         profile,
-        text=profile.text or f"{speed:.1f} m/s at the ball in closed loop, designed for this plant",
+        text=f"{speed:.1f} m/s at the ball in closed loop, designed for this plant",
         delivery={
             "head_speed_mps": speed,
             "attack_angle_deg": degrees(asin(sin(slope) * sin(lie))),
@@ -645,40 +604,29 @@ def design_swing(
         DesignFailed: no swing was found; the text gives the reason.
     """
     load_casadi()  # a missing package must fail before the long part
-    bench = _bench(configuration)
+    bench = _bench(configuration, name, golfer)
     begun = _swing_up(bench, demand)
     downswing = design_downswing(bench, demand, start, begun, progress)
     try:
-        profile = _into_the_loop(bench, demand, begun, downswing, name, golfer, progress)
+        profile = _into_the_loop(bench, demand, begun, downswing, progress)
         profile = replace(profile, text=text or profile.text)
-        patterns = start.blind_brake if start is not None else None
+        patterns = None if start is None else start.blind_brake
         blind = design_blind_brake(
             replace(bench, profile=profile), patterns, lambda part: progress("blind brakes", part)
         )
     except LoopFailed as failure:
         raise DesignFailed(str(failure)) from None
     profile = replace(profile, blind_brake=blind)
-    _require_possible(bench, profile)
-    return profile
-
-
-def _require_possible(bench: SimulatedBench, profile: Profile) -> None:
-    """Refuse a swing that no bench would take: the check is that of `golfbench check`.
-
-    Raises:
-        DesignFailed: the check finds faults; the text gives all of them.
-    """
     if faults := profile_faults(profile, bench.plant, bench.envelope):
         raise DesignFailed(f"the swing does not pass `golfbench check`: {'; '.join(map(str, faults))}")
+    return profile
 
 
 def _into_the_loop(
     bench: SimulatedBench,
     demand: SwingDemand,
-    begun: _Start,
+    begun: Backswing,
     downswing: Downswing,
-    name: str,
-    golfer: str,
     progress: Progress,
 ) -> Profile:
     """Return the profile whose swing in closed loop delivers as `downswing` should.
@@ -693,7 +641,7 @@ def _into_the_loop(
     best = None
     for count in range(_AIMED):
         progress("closed loop", count / _AIMED)
-        profile = _assemble(bench.plant, demand, begun, downswing.opening, downswing.trial, name, golfer)
+        profile = _assemble(bench, demand, begun, downswing)
         opening = downswing.opening[: downswing.trial.contact + AFTER_CONTACT]
         profile = imprint(replace(bench, profile=profile), opening)
         profile = as_written(with_follow_through(replace(bench, profile=profile))[0])
@@ -701,7 +649,7 @@ def _into_the_loop(
         delivered = _delivered(state, bench.plant)
         off = float(np.abs((delivered - downswing.wanted) / UNITS)[:4].max())
         if best is None or off < best[0]:
-            best = off, _with_figures(profile, bench.plant, state, demand, downswing.trial)
+            best = off, _with_figures(profile, bench.plant, state, delivered, demand, downswing.trial)
         if off < 1.0:
             break
         alone = arrival_errors(shooter.arrive(downswing.opening), downswing.wanted)
@@ -717,8 +665,8 @@ def _into_the_loop(
     return best[1]
 
 
-def _bench(configuration: Configuration) -> SimulatedBench:
+def _bench(configuration: Configuration, name: str = "", golfer: str = "") -> SimulatedBench:
     """Return the bench for the rehearsals, still with an empty profile; there are no limits of it yet."""
     c = configuration
-    nothing = _sketch(SwingDemand(), c.plant, np.zeros(3), np.zeros(3))
+    nothing = replace(_sketch(SwingDemand(), c.plant, np.zeros(3), np.zeros(3)), name=name, golfer=golfer)
     return SimulatedBench(nothing, c.plant, c.control, c.envelope.with_model_check("off"), c.estimator)
