@@ -19,7 +19,7 @@ from typing import Any
 from bench.base.errors import BenchError, Refused
 from bench.config import Configuration, load_configuration
 from bench.design.designer import DesignFailed, design_swing, fastest_plan
-from bench.design.optimal_control import BAR, DownswingPlan, SwingDemand, load_casadi
+from bench.design.optimal_control import BAR, SwingDemand, load_casadi
 from bench.design.sizing.catalogue import (
     KINDS,
     Catalogue,
@@ -106,11 +106,6 @@ def plan_of(record: dict[str, Any]) -> SizedPlan:
     return SizedPlan(**record | {"carried": tuple(record["carried"]), "binding": binding})
 
 
-def swing_of(record: dict[str, Any]) -> SizedSwing:
-    """Return the swing that `asdict` made a record of."""
-    return SizedSwing(**record)
-
-
 @dataclass(frozen=True)
 class SizingDemand:
     """Target of the sizing."""
@@ -166,38 +161,24 @@ class PlanStudy:
     demand: SizingDemand
 
     def prepared(self) -> Callable[[Hardware], SizedPlan]:
-        """Return the search for a plan.
-
-        Raises:
-            BenchError: the package casadi is not installed.
-        """
+        """Return the search for a plan. Raises BenchError without the package casadi."""
         load_casadi()
         shipped = load_configuration(Path("shipped"))
         return lambda hardware: self._planned(hardware, shipped)
 
     def _planned(self, hardware: Hardware, shipped: Configuration) -> SizedPlan:
-        text = candidate_text(self.catalogue, hardware, shipped, self.demand)
         try:
-            c = candidate_configuration(text)
-            wanted = self.demand.of(hardware, None)
-            plan = fastest_plan(c, wanted)
+            c = candidate_configuration(candidate_text(self.catalogue, hardware, shipped, self.demand))
+            plan = fastest_plan(c, self.demand.of(hardware, None))
         except ExceptionGroup as group:
             return SizedPlan(nan, f"no valid configuration: {_reasons(group)}")
         except DesignFailed as failure:
             return SizedPlan(nan, str(failure))
-        return _as_sized(plan)
-
-
-def _as_sized(plan: DownswingPlan) -> SizedPlan:
-    if not plan.solved:
-        return SizedPlan(nan, f"no plan ({plan.status.lower().replace('_', ' ')})")
-    return SizedPlan(
-        plan.speed,
-        "",
-        (float(plan.carried[0]), float(plan.carried[1])),
-        BAR * float(plan.state[:, 6:12].max()),
-        tuple((name, float(gain)) for name, gain in list(plan.binding.items())[:4]),
-    )
+        if not plan.solved:
+            return SizedPlan(nan, f"no plan ({plan.status.lower().replace('_', ' ')})")
+        binding = tuple((name, float(gain)) for name, gain in list(plan.binding.items())[:4])
+        arm, wrist = plan.carried.tolist()
+        return SizedPlan(plan.speed, "", (arm, wrist), BAR * float(plan.state[:, 6:12].max()), binding)
 
 
 @dataclass(frozen=True)
@@ -212,22 +193,16 @@ class SwingStudy:
     """Folder for configurations and profiles of the candidates that swing."""
 
     def prepared(self) -> Callable[[Hardware], SizedSwing]:
-        """Return the design of a swing.
-
-        Raises:
-            BenchError: the package casadi is not installed.
-        """
+        """Return the design of a swing. Raises BenchError without the package casadi."""
         load_casadi()
         shipped = load_configuration(Path("shipped"))
         return lambda hardware: self._swung(hardware, shipped)
 
     def _swung(self, hardware: Hardware, shipped: Configuration) -> SizedSwing:
-        text = candidate_text(self.catalogue, hardware, shipped, self.demand)
-        c = candidate_configuration(text)
+        c = candidate_configuration(candidate_text(self.catalogue, hardware, shipped, self.demand))
         c = replace(c, envelope=c.envelope.with_model_check("off"))  # a new plant has no limits for it yet
         try:
-            wanted = self.demand.of(hardware, self.demand.speed)
-            made = design_swing(c, wanted, "sized")
+            made = design_swing(c, self.demand.of(hardware, self.demand.speed), "sized")
             found = _judged(c, made, self.spacing)
         except (DesignFailed, Refused) as failure:
             return SizedSwing(nan, str(failure))
@@ -241,8 +216,7 @@ def _judged(c: Configuration, profile: Profile, spacing: int) -> SizedSwing:
     Raises:
         Refused: the swing does not run.
     """
-    series = Series(Bench.of(c, profile), c.plant)
-    swing = series.swing(profile)
+    swing = Series(Bench.of(c, profile), c.plant).swing(profile)
     limits, delivery = profile.limits, profile.delivery
     found = SizedSwing(
         delivery["head_speed_mps"],
@@ -294,9 +268,7 @@ class SizingGrid:
         """
         found = []
         parts = product(self.vanes, self.cylinders, self.valves, self.absorbers)
-        free = list(
-            product(self.pressures, self.levers, self.lever_angles, self.frames, self.hoses, self.vents)
-        )
+        free = product(self.pressures, self.levers, self.lever_angles, self.frames, self.hoses, self.vents)
         for (vane, bore, valve, (arm, wrist)), freely in product(parts, free):
             made = Hardware(vane, bore, bore, valve, valve, valve, arm, wrist, "L34", "M2", *freely)
             flow = sum(part.conductance for part in parts_of(catalogue, made).valves)
@@ -316,11 +288,6 @@ def cheaper(catalogue: Catalogue, hardware: Hardware) -> list[Hardware]:
         if less:
             found.append(replace(hardware, **{field: less[-1]}))
     return found
-
-
-def without_repeats(found: Sequence[Hardware], known: Sequence[Hardware]) -> list[Hardware]:
-    """Return those of `found` that are not in `known`, each once."""
-    return [hardware for hardware in dict.fromkeys(found) if hardware not in known]
 
 
 Shown = Callable[[str, int, int], None]
@@ -356,9 +323,8 @@ class SizingRun:
         self.catalogue, self.demand, self.folder = catalogue, demand, folder
         self._engine, self._show, self._stop = engine, show, stop
         folder.mkdir(parents=True, exist_ok=True)
-        digest = _digest(catalogue, demand)
-        self._plans = SweepStore[SizedPlan](folder / "plans.jsonl", digest, asdict, plan_of)
-        self._digest = digest
+        self._digest = _digest(catalogue, demand)
+        self._plans = SweepStore[SizedPlan](folder / "plans.jsonl", self._digest, asdict, plan_of)
 
     @property
     def seconds(self) -> float:
@@ -370,10 +336,10 @@ class SizingRun:
         tried = search.grid.candidates(self.catalogue)
         points = self._planned("plans of the grid", tried)
         for count in range(search.rounds):
-            best = self._cheapest(points)
+            best = min(self.enough(points), key=lambda one: (one.price, -one.plan.speed), default=None)
             if best is None or self._stop():
                 break
-            new = without_repeats(cheaper(self.catalogue, best.hardware), tried)
+            new = [hardware for hardware in cheaper(self.catalogue, best.hardware) if hardware not in tried]
             if not new:
                 break
             tried += new
@@ -398,11 +364,6 @@ class SizingRun:
             if hardware.name in kept
         ]
 
-    def _cheapest(self, points: Sequence[SizedPoint]) -> SizedPoint | None:
-        """Return the cheapest point that exceeds the speed by the reserve; at equal prices, the fastest."""
-        enough = self.enough(points)
-        return min(enough, key=lambda point: (point.price, -point.plan.speed), default=None)
-
     def enough(self, points: Sequence[SizedPoint]) -> list[SizedPoint]:
         """Return the points whose plan exceeds the demanded speed by the reserve."""
         least = self.demand.speed * (1.0 + self.demand.reserve)
@@ -413,7 +374,7 @@ class SizingRun:
         if not chosen or self._stop():
             return points
         file = self.folder / f"swings-{search.spacing}.jsonl"
-        store = SweepStore[SizedSwing](file, self._digest, asdict, swing_of)
+        store = SweepStore[SizedSwing](file, self._digest, asdict, lambda record: SizedSwing(**record))
         sweep(
             SwingStudy(self.catalogue, self.demand, search.spacing, self.folder),
             chosen,
