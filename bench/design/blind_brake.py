@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,12 +49,7 @@ class _Found(NamedTuple):
     pattern: Array
 
 
-def _cost_of(found: _Found) -> float:
-    return found.cost
-
-
-def _start_of(start: Array | None, row: int) -> Array | None:
-    return None if start is None else start[min(row, len(start) - 1)]
+_COST = attrgetter("cost")
 
 
 @compiled
@@ -104,19 +100,19 @@ class _BlindSearch(NamedTuple):
     def first(self, row: int, start: Array | None) -> _Found:
         """Return the pattern for `row` found from centred spools and from `start`."""
         origins = [np.zeros(6)] if start is None else [np.zeros(6), np.clip(start, _LOW, _HIGH)]
-        found = min((self._found(row, pattern) for pattern in origins), key=_cost_of)
+        found = min((self._found(row, pattern) for pattern in origins), key=_COST)
         if found.cost <= _GOOD:
             return found
         moving = found if np.any(found.pattern) else self._found(row, np.array(_MOVING))
-        return min(found, self._descended(row, moving), key=_cost_of)
+        return min(found, self._descended(row, moving), key=_COST)
 
     def around(self, row: int, patterns: Sequence[_Found]) -> _Found:
         """Return the best pattern for `row`: its own, or one found from those of the rows around it."""
         best = patterns[row]
         near = [*patterns[max(row - _NEAR, 0) : row], *patterns[row + 1 : row + 1 + _NEAR]]
-        tried = sorted((self._found(row, other.pattern) for other in near), key=_cost_of)
+        tried = sorted((self._found(row, other.pattern) for other in near), key=_COST)
         for origin in tried[:_TRIED]:
-            best = min(best, self._descended(row, origin), key=_cost_of)
+            best = min(best, self._descended(row, origin), key=_COST)
             if best.cost <= _GOOD:
                 break
         return best
@@ -164,9 +160,10 @@ def design_blind_brake(
         past_contact = row * spacing * profile.period > profile.impact_time - 0.01
         begun.append(states if past_contact else states[1:])
     search = _BlindSearch(plant, begun, ticks)
+    starts = [None if start is None else start[min(row, len(start) - 1)] for row in range(rows)]
     with ThreadPoolExecutor(2) as pool:
         found = list[_Found]()
-        for pattern in pool.map(lambda row: search.first(row, _start_of(start, row)), range(rows)):
+        for pattern in pool.map(search.first, range(rows), starts):
             found.append(pattern)
             progress(0.5 * len(found) / rows)
         for sweep in range(_SWEEPS):

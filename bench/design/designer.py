@@ -166,20 +166,8 @@ def top_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     """Return the joint angles at the top of the backswing (rad)."""
     robot = parameters.robot
     cock = furthest_cock(parameters) if demand.top_cock is None else demand.top_cock
-    return np.array(
-        [
-            demand.top_shoulder,
-            float(theta2_from_right_arm(robot, robot.l56 + demand.top_extension)),
-            parameters.wrist.upper - cock,
-        ]
-    )
-
-
-def _quintic(start: Array, end: Array, duration: float, samples: int) -> tuple[Array, Array]:
-    part = (np.arange(samples) / samples)[:, None]
-    shape = part**3 * (10 - 15 * part + 6 * part**2)
-    slope = 30 * part**2 * (1 - part) ** 2 / duration
-    return start + (end - start) * shape, (end - start) * slope
+    theta2 = float(theta2_from_right_arm(robot, robot.l56 + demand.top_extension))
+    return np.array([demand.top_shoulder, theta2, parameters.wrist.upper - cock])
 
 
 def _sketch(
@@ -195,26 +183,16 @@ def _sketch(
     """
     period, site = parameters.tick, parameters.site
     n, hold = round(demand.backswing_time / period), round((demand.top_time + 0.5) / period)
-    angle, velocity = _quintic(address, top, demand.backswing_time, n)
-    angle = np.vstack([angle, np.tile(top, (hold, 1))])
-    velocity = np.vstack([velocity, np.zeros((hold, 3))])
+    part = (np.arange(n) / n)[:, None]
+    shape = part**3 * (10 - 15 * part + 6 * part**2)
+    slope = 30 * part**2 * (1 - part) ** 2 / demand.backswing_time
+    angle = np.vstack([address + (top - address) * shape, np.tile(top, (hold, 1))])
+    velocity = np.vstack([(top - address) * slope, np.zeros((hold, 3))])
     begins = (0, 1, n, n + hold - 4, n + hold - 3, n + hold - 2, n + hold - 1)
     gain = np.zeros(3) if pid is None else gains_along(pid, angle)[:, MOVE]
-    return Profile(
-        "sketch",
-        "",
-        "",
-        "",
-        period,
-        begins,
-        angle,
-        velocity,
-        velocity * gain,
-        SPACING,
-        np.zeros((len(angle) // SPACING + 1, 6)),
-        (site.ball_x, site.ball_y),
-        n * period,
-    )
+    blind, ball = np.zeros((len(angle) // SPACING + 1, 6)), (site.ball_x, site.ball_y)
+    tables = angle, velocity, velocity * gain, SPACING, blind
+    return Profile("sketch", "", "", "", period, begins, *tables, ball, n * period)
 
 
 def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> Backswing:
@@ -263,20 +241,26 @@ def _guess_from(start: Profile, state: Array, intervals: int = _INTERVALS) -> tu
 def _problem(
     parameters: PlantParameters, demand: SwingDemand, envelope: EnvelopeSettings, state: Array
 ) -> DownswingProblem:
-    lean, wrist = _lean(demand, parameters), wrist_range(parameters, demand)
+    wrist, robot, period = wrist_range(parameters, demand), parameters.robot, parameters.tick
     if state[2] < wrist[0] - 0.01:  # less far off a plan may still begin
         comes, held = degrees(state[2]), degrees(wrist[0])
         raise DesignFailed(f"the wrist comes to {comes:.1f} deg at the top; its lever holds from {held:.1f}")
+    least = -_UPRIGHT if parameters.site.surface == "none" else -_LEADING
+    low, high = (least, _UPRIGHT) if demand.lean is None else (demand.lean, demand.lean)
+    shoulder, back = parameters.shoulder.lower, 0.96 * envelope.max_speed[0]
+    if demand.follow is not None:
+        # A golfer does not swing back again from the top; friction and air may hold the plant short of it.
+        shoulder, back = min(demand.top_shoulder, float(state[0])) - _SAG, _TURN_BACK
     return DownswingProblem(
         demand,
         envelope,
         start=state,
-        slope=slope_of(demand.attack, parameters.robot.lie),
-        theta_t=(SHAFT_DOWN + lean[0], SHAFT_DOWN + lean[1]),
+        slope=slope_of(demand.attack, robot.lie),
+        theta_t=(SHAFT_DOWN + low, SHAFT_DOWN + high),
         opening=1.0 - demand.margin - _CORRECTED[demand.follow is not None],
-        shoulder=_furthest_back(parameters, demand, float(state[0])),
-        shoulder_back=_TURN_BACK if demand.follow is not None else 0.96 * envelope.max_speed[0],
-        committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
+        shoulder=shoulder,
+        shoulder_back=back,
+        committed=demand.no_return_time + BEFORE_CONTACT * period,
         wrist=wrist,
         cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
         concessions=_concessions(parameters, demand) if demand.nearest else NO_CONCESSIONS,
@@ -288,23 +272,6 @@ def wrist_range(parameters: PlantParameters, demand: SwingDemand) -> tuple[float
     dead, mounted = asin(demand.least_lever), parameters.wrist_lever_angle
     lowest, highest = 1.5 * pi + dead - mounted, 2.5 * pi - dead - mounted
     return max(parameters.wrist.lower, lowest), min(parameters.wrist.upper, highest)
-
-
-def _lean(demand: SwingDemand, parameters: PlantParameters) -> tuple[float, float]:
-    """Return the least and the most lean of the shaft at the ball, rad."""
-    if demand.lean is not None:
-        return demand.lean, demand.lean
-    return (-_UPRIGHT if parameters.site.surface == "none" else -_LEADING), _UPRIGHT
-
-
-def _furthest_back(parameters: PlantParameters, demand: SwingDemand, top: float) -> float:
-    """Return the min theta1 of the downswing, rad: a golfer does not swing back again from the top.
-
-    `top` is the angle that the plant reaches (rad); friction and air may hold it short of the demanded one.
-    """
-    if demand.follow is None:
-        return parameters.shoulder.lower
-    return min(demand.top_shoulder, top) - _SAG
 
 
 def _concessions(parameters: PlantParameters, demand: SwingDemand) -> Concessions:
@@ -331,14 +298,8 @@ def _openings(plan: DownswingPlan, shooter: Shooter, pid: NDArray[Any], highest:
     return shooter.follow(valve_command, angle, rows(3), gains_along(pid, angle), highest)
 
 
-def _wanted(plan: DownswingPlan, parameters: PlantParameters, demand: SwingDemand) -> Array:
-    """Return the state at impact that `refine` must reach: the plan's, at the demanded strike point."""
-    head = head_motion(parameters.robot.record[0], *plan.state[-1, :6])
-    return np.array([demand.strike, *head[2:6]])
-
-
 def _delivered(state: NDArray[Any], parameters: PlantParameters) -> Array:
-    """Return the arrival of the head in the plant `state` after a struck ball, as in `_wanted`."""
+    """Return the arrival of the head in the plant `state` after a struck ball, as `arrival_errors` has it."""
     head, site, impact = state["impact_head"][0], parameters.site, build_plant(parameters).impact
     error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, impact)
     return np.array([error, *head[2:6]])
@@ -405,7 +366,9 @@ def design_downswing(
             problem = _with_cushions(problem, (brought + np.array(problem.cushions)) / 2)
             continue
         time, guess = float(plan.time[-1]), plan.state
-        wanted = _wanted(plan, parameters, demand)
+        # The arrival to be reached: the plan's, at the demanded strike point.
+        head = head_motion(parameters.robot.record[0], *plan.state[-1, :6])
+        wanted = np.array([demand.strike, *head[2:6]])
         try:
             pid = pid_record(bench.control, bench.estimator, parameters)
             played = _openings(plan, shooter, pid, 1.0 - demand.margin)
@@ -430,9 +393,8 @@ def design_downswing(
         tried = tried.learned(brought, over)
         problem = _with_cushions(problem, tried.next(brought, over))
     progress("downswing", 1.0)
-    survived = (1.0 - demand.missed_share) * min(
-        parameters.right_arm.stop.energy, parameters.wrist.stop.energy
-    )
+    rated = min(parameters.right_arm.stop.energy, parameters.wrist.stop.energy)
+    survived = (1.0 - demand.missed_share) * rated
     if best is None or best[0][0] > survived:
         raise DesignFailed(reason or "no downswing found")
     return best[1]
@@ -509,11 +471,8 @@ def plan_at_speed(configuration: Configuration, demand: SwingDemand, start: Prof
 def fastest_plan(configuration: Configuration, demand: SwingDemand) -> DownswingPlan:
     """Return the fastest downswing of the model within `demand`, by collocation alone, solved or not.
 
-    Tracking and absorber loads on the plant are not checked: seconds instead of minutes.
-
-    Raises:
-        BenchError: the package casadi is not installed.
-        DesignFailed: the plant does not reach the top.
+    Tracking and absorber loads on the plant are not checked: seconds instead of minutes. Raises BenchError
+    without the package casadi, DesignFailed if the plant does not reach the top.
     """
     load_casadi()
     bench, demand = _bench(configuration), replace(demand, head_speed=None)

@@ -36,11 +36,7 @@ class DownswingStudy:
     start: Profile | None
 
     def prepared(self) -> Callable[[float | None], DownswingPlan | str]:
-        """Return the search at a speed.
-
-        Raises:
-            BenchError: the package casadi is not installed.
-        """
+        """Return the search at a speed. Raises BenchError without the package casadi."""
         load_casadi()
         return self._search
 

@@ -76,6 +76,14 @@ _PRICE = {"time": 5.0, "rise": 10.0, "speed": 10.0}
 linear, so that only necessary concessions are made, the speed last: a degree is worth some m/s."""
 _ITERATIONS = 600
 """Max number of the optimizer's iterations."""
+_OPTIONS: dict[str, Any] = {
+    "ipopt": {"print_level": 0, "sb": "yes", "max_iter": _ITERATIONS, "tol": 1e-5, "acceptable_tol": 1e-4}
+    | {"acceptable_iter": 8, "mu_strategy": "monotone", "linear_solver": "mumps"},
+    "print_time": False,
+    "error_on_fail": False,
+    "expand": True,
+}
+"""Settings of the optimizer."""
 _SLEW = 150.0
 """Max change of an opening, 1/s."""
 _RADAU = 2
@@ -136,23 +144,18 @@ def _kinetics(plant: PlantParameters, q: Expression, u: Expression) -> tuple[Exp
     arm = r6 - r3
     along, angle = arm / ca.norm_2(arm), ca.atan2(arm[1], arm[0])
     bodies = (
-        (
-            robot.shoulder_link.mass,
-            robot.shoulder_link.inertia,
-            ray(robot.shoulder_link.centre_of_mass, a1),
-            a1,
-        ),
-        (robot.left_arm.mass, robot.left_arm.inertia, r2 + ray(robot.left_arm.centre_of_mass, a2), a2),
-        (club.mass, club.inertia, r3 + ray(club.centre_of_mass, a3), a3),
-        (robot.rod.mass, robot.rod.inertia, r3 + robot.rod.centre_of_mass * along, angle),
-        (robot.cylinder.mass, robot.cylinder.inertia, r6 - robot.cylinder.centre_of_mass * along, angle),
+        (robot.shoulder_link, ray(robot.shoulder_link.centre_of_mass, a1), a1),
+        (robot.left_arm, r2 + ray(robot.left_arm.centre_of_mass, a2), a2),
+        (club, r3 + ray(club.centre_of_mass, a3), a3),
+        (robot.rod, r3 + robot.rod.centre_of_mass * along, angle),
+        (robot.cylinder, r6 - robot.cylinder.centre_of_mass * along, angle),
     )
     matrix, bias = ca.SX.zeros(3, 3), ca.SX.zeros(3, 1)
-    for mass, inertia, place, turn in bodies:
+    for body, place, turn in bodies:
         way, spin = ca.jacobian(place, q), ca.jacobian(turn, q)
-        matrix += mass * way.T @ way + inertia * spin.T @ spin
+        matrix += body.mass * way.T @ way + body.inertia * spin.T @ spin
         lift = ca.jtimes(way @ u, q, u) + ca.vertcat(0.0, robot.in_plane_gravity)
-        bias += mass * way.T @ lift + inertia * spin.T @ ca.jtimes(spin @ u, q, u)
+        bias += body.mass * way.T @ lift + body.inertia * spin.T @ ca.jtimes(spin @ u, q, u)
     return matrix, bias
 
 
@@ -179,22 +182,15 @@ def _air(
     into_a, into_b = _flow(edge_a, supply, pa, ratio), _flow(edge_b, supply, pb, ratio)
     across = _flow(actuator.cross_leakage, pa, pb, ratio)
     out_a, out_b = _flow(edge_b, pa, atmosphere, ratio), _flow(edge_a, pb, atmosphere, ratio)
-    lowest, highest = stroke_ends(plant, i)
+    lowest, highest = actuator.chamber_ends
+    if i == 2:  # in its own coordinate, m
+        lowest, highest = float(plant.wrist_stroke(lowest)), float(plant.wrist_stroke(highest))
     volume_a = actuator.dead_volume + actuator.area_a * (position - lowest)
     volume_b = actuator.dead_volume + actuator.area_b * (highest - position)
     rate_a = exponent / volume_a * (into_a - across - out_a - pa * actuator.area_a * speed)
     rate_b = exponent / volume_b * (into_b + across - out_b + pb * actuator.area_b * speed)
     force = BAR * ((pa - atmosphere) * actuator.area_a - (pb - atmosphere) * actuator.area_b)
     return force, ca.vertcat(rate_a, rate_b), into_a + into_b
-
-
-def stroke_ends(plant: PlantParameters, i: int) -> tuple[float, float]:
-    """Return the ends of actuator i's chambers in its own coordinate (rad, m, m)."""
-    actuator: Actuator = plant.actuators[i]
-    ends = actuator.chamber_ends
-    if i < 2:
-        return ends
-    return float(plant.wrist_stroke(ends[0])), float(plant.wrist_stroke(ends[1]))
 
 
 def _friction(actuator: Actuator, speed: Expression) -> Expression:
@@ -496,22 +492,7 @@ def solve_downswing(
     require("cushion of the right arm", carried[0], -1.0, p.cushions[0])
     require("cushion of the wrist", carried[1], -1.0, p.cushions[1])
     program: dict[str, Any] = {"x": ca.vertcat(*z), "f": cost, "g": ca.vertcat(*g)}
-    options: dict[str, Any] = {
-        "ipopt": {
-            "print_level": 0,
-            "max_iter": _ITERATIONS,
-            "tol": 1e-5,
-            "acceptable_tol": 1e-4,
-            "sb": "yes",
-            "acceptable_iter": 8,
-            "mu_strategy": "monotone",
-            "linear_solver": "mumps",
-        },
-        "print_time": False,
-        "error_on_fail": False,
-        "expand": True,
-    }
-    solver = ca.nlpsol("downswing", "ipopt", program, options)
+    solver = ca.nlpsol("downswing", "ipopt", program, _OPTIONS)
     found = solver(
         x0=np.concatenate(z0),
         lbx=np.concatenate(lower),

@@ -186,7 +186,10 @@ def _tables(plan: MachineSwing) -> Check:
         wanted = f"the angle's slope within {SLOPE_TOLERANCE:g} rad/s"
         action = "Correct the table; angles are in rad, one row a period."
         faults.append(plan.row(("velocity_rad_per_s", k, joint), found, wanted, action))
-    step, allowed = error * plan.profile.period, _allowed_steps(plan)
+    following = plan.envelope.max_following_error
+    limits = {int(phase): following.get(phase.name.lower(), (np.inf,) * 3) for phase in PHASES}
+    step = error * plan.profile.period
+    allowed = STEP_SHARE * np.array([limits[int(phase)] for phase in plan.profile.phases[1:]])
     j, i = _peak(step / allowed)
     if step[j, i] > allowed[j, i]:
         found = f"{angle[j, i]:.4f}, then {angle[j + 1, i]:.4f} rad: a step no robot can follow"
@@ -198,13 +201,6 @@ def _tables(plan: MachineSwing) -> Check:
         faults.append(plan.row(("velocity_rad_per_s", 0, joint), found, "at most 0.1 rad/s", action))
     text = f"slope {lasting.max():.2f} rad/s off · step {step[j, i]:.3f} rad"
     return Check("tables agree", text, f"{SLOPE_TOLERANCE:g} rad/s · {allowed[j, i]:.3g} rad", faults)
-
-
-def _allowed_steps(plan: MachineSwing) -> Array:
-    """Return the max step of the reference (n - 1, 3) that leaves following its share, rad."""
-    following = plan.envelope.max_following_error
-    limits = {int(phase): following.get(phase.name.lower(), (np.inf,) * 3) for phase in PHASES}
-    return STEP_SHARE * np.array([limits[int(phase)] for phase in plan.profile.phases[1:]])
 
 
 def other_rate(profile: Profile, plant: PlantParameters) -> str:

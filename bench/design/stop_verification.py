@@ -163,12 +163,16 @@ class SwingCheck:
         bench.reset_peaks()
         if trial.faults:
             bench.stepper.break_with(trial.faults, watchdog=0.0)  # worst case: its watchdog acts at once
-        if trial.raised:
-            _raise_ground(bench, trial.raised)
+        if trial.raised:  # in copies of the records, for this bench alone
+            bench.stepper.plant = own_records(bench.stepper.plant)
+            for name in ("ground", "ball_y"):
+                bench.stepper.plant.plant[name] += trial.raised
         request = Request.SWING if tick == 0 and not trial.request else trial.request
         rest = self._run_to_rest(bench, request, silent=trial.faults is _SILENT)
         rested = rest < (self.watched - 1) * self.plant.parameters.tick
-        loads = bench.loads()
+        loads, limits = bench.loads(), SafetyLimits()
+        # A sole may be as much deeper in the ground as that came up to it.
+        limits = replace(limits, ground_touch=limits.ground_touch + trial.raised)
         return TrialOutcome(
             fault=trial.name,
             time=tick * self.profile.period,
@@ -180,7 +184,7 @@ class SwingCheck:
             head_speed=loads.peak_head_speed,
             rest_time=rest if rested else float("inf"),
             cause=bench.cause,
-            unsafe="; ".join(unsafe_reasons(RunEnd(loads, rested=rested), _limits(trial))),
+            unsafe="; ".join(unsafe_reasons(RunEnd(loads, rested=rested), limits)),
         )
 
     def _run_to_rest(self, bench: LockstepEngine, request: int, *, silent: bool) -> float:
@@ -197,19 +201,6 @@ class SwingCheck:
             if standing and (ticks - rest) * period > _LONG_STILL:
                 break
         return rest * period
-
-
-def _raise_ground(bench: LockstepEngine, height: float) -> None:
-    """Raise ground and ball by `height` (m), in copies of the records for this bench alone."""
-    bench.stepper.plant = own_records(bench.stepper.plant)
-    for name in ("ground", "ball_y"):
-        bench.stepper.plant.plant[name] += height
-
-
-def _limits(trial: FaultTrial) -> SafetyLimits:
-    """Return the limits of a trial: a sole may be as much deeper in the ground as that came up to it."""
-    limits = SafetyLimits()
-    return replace(limits, ground_touch=limits.ground_touch + trial.raised)
 
 
 @dataclass(frozen=True)

@@ -127,8 +127,11 @@ class DrawnRobots:
 
     def prepared(self) -> Callable[[int], HealthyRun | None]:
         """Return the function of a seed; None for a robot that does not reach its address."""
-        bench, parameters = self.bench, _unlimited(self.bench)
-        drawn = unknown_plant if self.unknown else healthy_plant
+        bench, drawn = self.bench, unknown_plant if self.unknown else healthy_plant
+        envelope = bench.envelope.with_model_check("always")
+        parameters = build_controller(bench.model, bench.profile, bench.control, envelope, bench.estimator)
+        for kind in KINDS:  # its check only observes
+            parameters.model[kind] = np.inf
 
         def run(seed: int) -> HealthyRun | None:
             swung = _with_drawn_correction(bench, parameters, seed) if self.unknown else parameters
@@ -153,15 +156,6 @@ def _drawn(
 
         runs += [run for run in sweep(study, seeds, engine, progress=report) if run is not None]
     return runs
-
-
-def _unlimited(bench: Bench) -> ControlParameters:
-    """Return the controller with its check observing only."""
-    envelope = bench.envelope.with_model_check("always")
-    made = build_controller(bench.model, bench.profile, bench.control, envelope, bench.estimator)
-    for kind in KINDS:
-        made.model[kind] = np.inf
-    return made
 
 
 def _with_drawn_correction(bench: Bench, parameters: ControlParameters, seed: int) -> ControlParameters:

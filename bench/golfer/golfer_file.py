@@ -93,35 +93,14 @@ class MeasuredSwing:
         """Rows from the top to the ball."""
         return slice(self.top_row, len(self.time))
 
-    @property
-    def off_plane(self) -> dict[str, float]:
-        """Root mean square distance from the plane over the downswing by role (m)."""
-        return {
-            role: float(np.sqrt(np.mean(path[self.downswing, 2] ** 2)))
-            for role, path in self.position.items()
-            if role in ("lead_shoulder", "lead_wrist", "head")
-        }
-
-    @property
-    def hub_travel(self) -> tuple[float, float]:
-        """Range of the mean of both shoulders over the downswing along x and y (m)."""
-        hub = (self.position["lead_shoulder"] + self.position["trail_shoulder"])[self.downswing] / 2
-        x, y, _ = np.ptp(hub, axis=0)
-        return float(x), float(y)
-
 
 SCHEMA = "golfbench.golfer/1"
 SUFFIX = ".golfer.toml"
 _AXES = ("x", "y", "off")
 ANGLES = ("theta1_rad", "theta2_rad", "theta3_rad")
-_KEYS = {
-    "schema": str,
-    "name": str,
-    "table": str,
-    "table_sha256": str,
-    "downswing_s": float,
-    "plane_deg": float,
-}
+_KEYS = dict.fromkeys(("schema", "name", "table", "table_sha256"), str) | dict.fromkeys(
+    ("downswing_s", "plane_deg"), float
+)
 _ACTION = "Import the recording again with `golfbench golfer import FILE`."
 DEFINITIONS = {
     "plane": "least squares through the head's path from where the shaft is level to the ball, or without a "
@@ -187,22 +166,32 @@ class GolferSwing:
         return float((self.top_row - moving[0]) * STEP) if len(moving) and moving[0] > 20 else None
 
 
-def degrees_or_none(angle: Array) -> list[float | None]:
+def _degrees(angle: Array) -> list[float | None]:
     """Return three angles (rad) in degrees, None where not measured; arm and wrist from 0 to 360."""
     found = np.degrees(angle)
     found[1:] %= 360.0
-    return [None if np.isnan(value) else round(float(value), 2) for value in found]
+    return _known(found)
+
+
+def _known(values: Array) -> list[float | None]:
+    return [None if np.isnan(value) else round(float(value), 2) for value in values]
 
 
 def summary(swing: MeasuredSwing) -> dict[str, Any]:
-    """Return the key figures of `swing` for file and JSON; None where not measured."""
-    down = swing.downswing
-    head = swing.speed.get("head")
+    """Return the key figures of `swing` for file and JSON; None where not measured.
+
+    Distances from the plane are root mean squares over the downswing, the hub is the mean of both shoulders.
+    """
+    down, position, club_top = swing.downswing, swing.position, swing.club_top_row
+    head, factor = swing.speed.get("head"), swing.separation
     cock = None if not swing.has_club else round(360.0 - float(np.degrees(swing.angle[down, 2].min())), 2)
-    off_plane = {role: round(1e3 * value, 1) for role, value in swing.off_plane.items()}
-    x, y = swing.hub_travel
-    factor = swing.separation
-    club_top = swing.club_top_row
+    off_plane = {
+        role: round(1e3 * float(np.sqrt(np.mean(position[role][down, 2] ** 2))), 1)
+        for role in position
+        if role in ("lead_shoulder", "lead_wrist", "head")
+    }
+    hub = (position["lead_shoulder"] + position["trail_shoulder"])[down] / 2
+    peaks = np.abs(np.gradient(swing.angle, STEP, axis=0)[down]).max(axis=0)
     return {
         "rate_hz": swing.rate,
         "frames": swing.frames,
@@ -217,25 +206,20 @@ def summary(swing: MeasuredSwing) -> dict[str, Any]:
         "unit": swing.orientation.unit,
         "up": swing.orientation.up,
         "plane_deg": round(float(np.degrees(swing.plane)), 2),
-        "theta_top_deg": degrees_or_none(swing.angle[swing.top_row]),
-        "theta_ball_deg": degrees_or_none(swing.angle[-1]),
+        "theta_top_deg": _degrees(swing.angle[swing.top_row]),
+        "theta_ball_deg": _degrees(swing.angle[-1]),
         "max_cock_deg": cock,
         "head_speed_mps": None if head is None else round(float(head[-1]), 3),
         "hand_speed_mps": round(float(swing.speed["lead_wrist"][-1]), 3),
         "peak_hand_speed_mps": round(float(swing.speed["lead_wrist"][down].max()), 3),
-        "peak_joint_speed_rad_per_s": _peaks(swing),
+        "peak_joint_speed_rad_per_s": _known(peaks),
         "x_factor_top_deg": None if factor is None else round(float(np.degrees(factor[swing.top_row])), 2),
         "x_factor_max_deg": None if factor is None else round(float(np.degrees(factor[down].max())), 2),
         "off_plane_rms_mm": off_plane,
-        "hub_travel_mm": [round(1e3 * x, 1), round(1e3 * y, 1)],
+        "hub_travel_mm": [round(1e3 * float(way), 1) for way in np.ptp(hub, axis=0)[:2]],
         "gaps_filled": swing.gaps,
         "not_measured": list(swing.not_measured),
     }
-
-
-def _peaks(swing: MeasuredSwing) -> list[float | None]:
-    rates = np.gradient(swing.angle, STEP, axis=0)[swing.downswing]
-    return [None if np.isnan(column).any() else round(float(np.abs(column).max()), 2) for column in rates.T]
 
 
 def save_golfer(folder: Path, name: str, swing: MeasuredSwing, capture: Capture, roles: Roles) -> Path:
@@ -258,13 +242,11 @@ def save_golfer(folder: Path, name: str, swing: MeasuredSwing, capture: Capture,
         "cutoff_hz": {"body": body, "hands": round(body * HANDS_CUTOFF, 3), "club": head},
         **summary(swing),
     }
-    lines = [f"{key} = {toml_value(value)}" for key, value in about.items() if value is not None]
-    lines += [
-        "",
-        "[markers]",
-        *(f"{role} = {toml_value(list(names))}" for role, names in roles.markers.items()),
-    ]
-    lines += ["", "[definitions]", *(f"{key} = {toml_value(text)}" for key, text in DEFINITIONS.items())]
+    about = {key: value for key, value in about.items() if value is not None}
+    lines = list[str]()
+    for heading, table_of in (("", about), ("markers", roles.markers), ("definitions", DEFINITIONS)):
+        lines += ["", f"[{heading}]"] if heading else []
+        lines += [f"{key} = {toml_value(value)}" for key, value in table_of.items()]
     with atomic_file(table) as stream:
         stream.write(content)
     with atomic_file(path) as stream:
@@ -302,18 +284,16 @@ def load_golfer(path: Path) -> GolferSwing:
     raw = read_toml(path, "a golfer's swing", _ACTION)
     for key, kind in _KEYS.items():
         if not isinstance(raw.get(key), kind):
-            raise BenchError(
-                f"{path}: {key}", str(raw.get(key, "nothing"))[:60], f"a {kind.__name__}", _ACTION
-            )
+            found = str(raw.get(key, "nothing"))[:60]
+            raise BenchError(f"{path}: {key}", found, f"a {kind.__name__}", _ACTION)
     if raw["schema"] != SCHEMA:
         raise BenchError(f"{path}: schema", raw["schema"][:60], SCHEMA, _ACTION)
     table_path = path.with_name(Path(raw["table"]).name)
     try:
         content = table_path.read_bytes()
     except OSError as error:
-        raise BenchError(
-            str(table_path), error.strerror or str(error), f"the table of {path}", _ACTION
-        ) from None
+        found = error.strerror or str(error)
+        raise BenchError(str(table_path), found, f"the table of {path}", _ACTION) from None
     if sha256(content).hexdigest() != raw["table_sha256"]:
         raise BenchError(str(table_path), "another digest", f"the table of {path}", _ACTION)
     try:
@@ -324,14 +304,12 @@ def load_golfer(path: Path) -> GolferSwing:
         roles = [name.removesuffix("_x_m") for name in columns if name.endswith("_x_m")]
         position = {role: np.column_stack([columns[f"{role}_{axis}_m"] for axis in _AXES]) for role in roles}
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
-        raise BenchError(
-            str(table_path), f"no table of a golfer: {error}", "the columns of an import", _ACTION
-        ) from None
+        found = f"no table of a golfer: {error}"
+        raise BenchError(str(table_path), found, "the columns of an import", _ACTION) from None
     speed = float(columns["head_speed_mps"][-1]) if "head_speed_mps" in columns else np.nan
     row = len(time) - 1 - round(raw["downswing_s"] / STEP)
     if not 0 <= row < len(time) - 2:
-        raise BenchError(
-            f"{path}: downswing_s", f"{raw['downswing_s']:g} s", "a time within the table", _ACTION
-        )
+        found = f"{raw['downswing_s']:g} s"
+        raise BenchError(f"{path}: downswing_s", found, "a time within the table", _ACTION)
     plane, digest = float(np.radians(raw["plane_deg"])), sha256(path.read_bytes()).hexdigest()
     return GolferSwing(raw["name"], time, angle, position, speed, row, plane, path, digest)

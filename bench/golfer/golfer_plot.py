@@ -41,7 +41,10 @@ def golfer_plot(swing: MeasuredSwing, title: str) -> Figure:
             axes.sharex(rows[3])
             axes.tick_params(labelbottom=False)
         for axes in rows:
-            _mark_events(axes, swing)
+            axes.axvline(1e3 * swing.time[swing.top_row], color=GREY, linewidth=0.8)
+            axes.axvline(0.0, color=INK, linewidth=0.8)
+            if swing.club_top_row is not None:
+                axes.axvline(1e3 * swing.time[swing.club_top_row], color=GREY, linewidth=0.8, linestyle=":")
         _draw_plane(axes_of["plane"], swing)
         figure.suptitle(f"{title}\nGrey: top (dotted: the shaft turns back). Black: ball.", fontsize=8.5)
     return figure
@@ -71,13 +74,6 @@ def comparison_plot(rows: Sequence[MotionDeviation]) -> Figure:
     return figure
 
 
-def _mark_events(axes: Axes, swing: MeasuredSwing) -> None:
-    axes.axvline(1e3 * swing.time[swing.top_row], color=GREY, linewidth=0.8)
-    axes.axvline(0.0, color=INK, linewidth=0.8)
-    if swing.club_top_row is not None:
-        axes.axvline(1e3 * swing.time[swing.club_top_row], color=GREY, linewidth=0.8, linestyle=":")
-
-
 def _draw_plane(axes: Axes, swing: MeasuredSwing) -> None:
     """Draw the paths in the plane, and the stick figure at the top, in the downswing and at the ball."""
     begin = swing.top_row
@@ -89,16 +85,8 @@ def _draw_plane(axes: Axes, swing: MeasuredSwing) -> None:
     last = len(swing.time) - 1
     for row in np.linspace(begin, last, 6).astype(int):
         stick = np.array([swing.position[role][row, :2] for role in chain])
-        strong = row in (begin, last)
-        axes.plot(
-            stick[:, 0],
-            stick[:, 1],
-            "o-",
-            color=INK if strong else GREY,
-            markersize=2.5,
-            linewidth=1.2 if strong else 0.6,
-            alpha=1.0 if strong else 0.6,
-        )
+        colour, width, alpha = (INK, 1.2, 1.0) if row in (begin, last) else (GREY, 0.6, 0.6)
+        axes.plot(*stick.T, "o-", color=colour, markersize=2.5, linewidth=width, alpha=alpha)
     axes.set(
         title=f"swing plane, {np.degrees(swing.plane):.1f}° from the ground",
         xlabel="to the target, m",

@@ -92,14 +92,13 @@ def judge(
     plants: list[LinearPlant], estimator: Estimator, gains: Callable[[LinearPlant], Gains], period: float
 ) -> LoopMargins:
     """Return the margins of all joints' loops at all instants, and how the closed loop is damped."""
-    loops = []
+    loops, ratios = [], {}
     for frozen in plants:
+        name, own = frozen.point.name, gains(frozen)
         estimated = estimator_response(estimator, frozen.frequency, period)
-        responses = loop_responses(frozen, estimated, gains(frozen), period)
-        for i in range(3):
-            margins = margins_of(frozen.frequency, responses[:, i])
-            loops.append(JointLoop(frozen.point.name, i, margins))
-    ratios = {frozen.point.name: least_damping(frozen, estimator, gains(frozen), period) for frozen in plants}
+        responses = loop_responses(frozen, estimated, own, period)
+        loops += [JointLoop(name, i, margins_of(frozen.frequency, responses[:, i])) for i in range(3)]
+        ratios[name] = least_damping(frozen, estimator, own, period)
     return LoopMargins(tuple(loops), ratios)
 
 

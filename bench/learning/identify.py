@@ -31,21 +31,15 @@ from bench.simulation.simulated_bench import Bench, Series, quiet
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from sim.plant import ACTUATOR_KEYS, PlantParameters
-from sim.robot import Club
 
 Array = NDArray[np.float64]
 Cycles = np.ndarray[Any, Any]
 
+_PARTS = "shoulder", "right arm", "wrist"
 NAMES = (
-    "friction of the shoulder",
-    "friction of the right arm",
-    "friction of the wrist",
-    "flow of the shoulder's valve",
-    "flow of the right arm's valve",
-    "flow of the wrist's valve",
-    "dead volume of the shoulder",
-    "dead volume of the right arm",
-    "dead volume of the wrist",
+    *(f"friction of the {part}" for part in _PARTS),
+    *(f"flow of the {part}'s valve" for part in _PARTS),
+    *(f"dead volume of the {part}" for part in _PARTS),
     "supply pressure",
     "vane area",
     "club inertia",
@@ -134,7 +128,9 @@ def variation_of(values: Array, bench: Bench) -> Variation:
     f = values.tolist()
     # The head's mass for the club's inertia about the wrist, linearised.
     club = bench.model.robot.club
-    slope = club_inertia(replace(club, head_mass=1.1 * club.head_mass)) / club_inertia(club) - 1.0
+    heavier = replace(club, head_mass=1.1 * club.head_mass)
+    nominal, more = (one.inertia + one.mass * one.centre_of_mass**2 for one in (club, heavier))
+    slope = more / nominal - 1.0
     factor = 1.0 + 0.1 * (f[11] - 1.0) / slope
     return Variation(
         (f[0], f[1], f[2]),
@@ -147,11 +143,6 @@ def variation_of(values: Array, bench: Bench) -> Variation:
     )
 
 
-def club_inertia(club: Club) -> float:
-    """Return the club's moment of inertia about the wrist, kg m2."""
-    return float(club.inertia + club.mass * club.centre_of_mass**2)
-
-
 def identify(
     bench: Bench,
     observed: Sequence[Cycles],
@@ -162,7 +153,6 @@ def identify(
 
     All swings are of the bench's profile and not the first after arming. Parameters not `asked` stay nominal,
     with unknown errors. `progress` gets the share of the max number of trials that is done.
-
     """
     free = np.array([NAMES.index(name) for name in asked])
     seen = np.mean([_seen(bench.profile, cycles) for cycles in observed], axis=0)
@@ -206,34 +196,20 @@ def identify(
         start[free == NAMES.index("supply pressure")] = np.clip(supply, *_SUPPLY_START)
         found = min(found, searched(start), key=lambda one: float(one.cost))
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
-    error = _standard_errors(np.asarray(found.jac), after, 1.0 / weight**2, free)
-    return Identified(values(found.x), error, before, after)
-
-
-def _standard_errors(jacobian: Array, left: float, samples: float, free: NDArray[np.intp]) -> Array:
-    """Return the standard errors of all parameters, NaN but for those `free` (k,).
-
-    The fit has `jacobian` (n, k) and the norm `left` of its errors.
-    """
     # Scaled by the remaining error, at least the declared one: a good fit makes nothing more certain.
-    variance = max(left**2 * samples / max(samples - jacobian.shape[1], 1.0) / _ALIKE, 1.0) / samples
+    jacobian, samples = np.asarray(found.jac), 1.0 / weight**2
+    variance = max(after**2 * samples / max(samples - jacobian.shape[1], 1.0) / _ALIKE, 1.0) / samples
     error = np.full(len(NAMES), np.nan)
     error[free] = np.sqrt(np.diag(variance * np.linalg.inv(jacobian.T @ jacobian)))
-    return error
+    return Identified(values(found.x), error, before, after)
 
 
 def _seen(profile: Profile, cycles: Cycles) -> Array:
     """Return the compared values (k, 13), weighted; NaN from a stop on and without a sensor."""
     swing = cycles[: profile.begins[5]]
     openings = uniform_filter1d(swing["applied_valve"], _SMOOTHED, axis=0)
-    values = np.hstack(
-        [
-            swing["angle"] / _ANGLE,
-            openings / _OPENING,
-            swing["supply_pressure"][:, None] / _PRESSURE,
-            swing["chamber_pressure"] / _PRESSURE,
-        ]
-    )
+    pressures = np.column_stack([swing["supply_pressure"], swing["chamber_pressure"]])
+    values = np.hstack([swing["angle"] / _ANGLE, openings / _OPENING, pressures / _PRESSURE])
     values[swing["cause"] != 0] = np.nan
     return np.asarray(values[::_SPACING])
 
