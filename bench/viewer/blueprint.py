@@ -82,7 +82,7 @@ def campaign_blueprint() -> rrb.Blueprint:
         ),
         rrb.Vertical(
             _figures(),
-            _series(_SERIES, "Angle error (reference − actual), °", False, "angle_error_deg"),
+            _errors(_SERIES),
             _valves(_SERIES),
             _pressures(_SERIES),
             _series(_SERIES, "Speed of club head and ball, m/s", False, *_SPEEDS),
@@ -179,7 +179,8 @@ def _layout(content: rrb.Container, **playback: Any) -> rrb.Blueprint:
 
 def _robot() -> rrb.Spatial3DView:
     name = "Robot (trace: club head speed, blue 0 to red 50 m/s)"
-    trace = {"/scene/trace": rrb.VisibleTimeRanges([_last(1.1)])}
+    last = rrb.VisibleTimeRange(TIMELINE, _around_cursor(1.1, 0.0).data)
+    trace = {"/scene/trace": rrb.VisibleTimeRanges([last])}
     return _outdoors(name, "/scene", (0.95, 1.15, 2.0), (0.0, 1.05, -0.6), overrides=trace)
 
 
@@ -220,21 +221,17 @@ def _table() -> rrb.TextDocumentView:
 
 
 def _joint_signals(window: Window) -> list[rrb.View | rrb.Container]:
-    return [
-        _series(window, "Joint angle, ° (grey: reference)", True, *_ANGLES),
-        _series(window, "Angle error (reference − actual), °", False, "angle_error_deg"),
-        _efforts(window),
-        _valves(window),
-        _pressures(window),
-    ]
-
-
-def _efforts(window: Window) -> rrb.Container:
-    return rrb.Tabs(
+    efforts = rrb.Tabs(
         _series(window, "Effort of shoulder and wrist, N·m", False, "effort_nm", "effort_nm/limits"),
         _series(window, "Effort of right arm, N", False, "effort_n", "effort_n/limits"),
         active_tab=0,
     )
+    angles = _series(window, "Joint angle, ° (grey: reference)", True, *_ANGLES)
+    return [angles, _errors(window), efforts, _valves(window), _pressures(window)]
+
+
+def _errors(window: Window) -> rrb.TimeSeriesView:
+    return _series(window, "Angle error (reference − actual), °", False, "angle_error_deg")
 
 
 def _valves(window: Window) -> rrb.TimeSeriesView:
@@ -264,7 +261,3 @@ def _series(window: Window, name: str, legend: bool, *signals: str) -> rrb.TimeS
         axis_x=rrb.TimeAxis(view_range=window.axis),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
     )
-
-
-def _last(seconds: float) -> rrb.VisibleTimeRange:
-    return rrb.VisibleTimeRange(TIMELINE, _around_cursor(seconds, 0.0).data)

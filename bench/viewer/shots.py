@@ -142,7 +142,8 @@ class ShotSeries:
         style = rr.LineStrips2D.from_fields(colors=_LINE, radii=rr.Radius.ui_points(0.5), draw_order=-2.0)
         self._show("dispersion/grid", now, strips, style)
         marks = np.array([(left, -y) for y in across[1:-1]] + [(x, -near) for x in along[1::2]])
-        words = [f"{y:.0f} m" for y in across[1:-1]] + [f"{abs(x):.0f} m {_side(x)}" for x in along[1::2]]
+        words = [f"{y:.0f} m" for y in across[1:-1]]
+        words += [f"{abs(x):.0f} m {'right' if x > 0 else 'left' if x < 0 else ''}" for x in along[1::2]]
         texts = rr.Points2D.columns(positions=marks, labels=words).partition([len(marks)])
         self._show("dispersion/marks", now, texts, _dot(_TEXT, 1.0, labels=True))
         return np.array([left, -far]), far - near
@@ -182,20 +183,12 @@ def shot_table(records: Sequence[ShotRecord]) -> str:
     for record in records[-_MAX_ROWS:]:
         shot, flight = record.shot, record.flight
         right = None if flight is None else flight.carry_side
-        cells = [
-            str(shot.shot),
-            shot.ball,
-            _cell(shot.club_speed_mps, ".2f"),
-            _cell(shot.attack_angle_deg, "+.2f"),
-            f"{_cell(shot.strike_x_mm, '+.1f')} {_cell(shot.strike_y_mm, '+.1f')}",
-            _cell(shot.ball_speed_mps, ".2f"),
-            _cell(shot.launch_angle_deg, ".1f"),
-            _cell(shot.spin_rpm, ".0f"),
-            _cell(shot.carry_m, ".1f"),
-            _cell(right, "+.1f"),
-            _cell(shot.total_m, ".1f"),
-            "" if shot.status is ShotStatus.VALID else f"{shot.status}: {shot.reason}",
-        ]
+        strike = f"{_cell(shot.strike_x_mm, '+.1f')} {_cell(shot.strike_y_mm, '+.1f')}"
+        club = _cell(shot.club_speed_mps, ".2f"), _cell(shot.attack_angle_deg, "+.2f"), strike
+        launch = _cell(shot.ball_speed_mps, ".2f"), _cell(shot.launch_angle_deg, ".1f")
+        carry = _cell(shot.carry_m, ".1f"), _cell(right, "+.1f"), _cell(shot.total_m, ".1f")
+        outcome = "" if shot.status is ShotStatus.VALID else f"{shot.status}: {shot.reason}"
+        cells = str(shot.shot), shot.ball, *club, *launch, _cell(shot.spin_rpm, ".0f"), *carry, outcome
         lines.append(f"| {' | '.join(_plain(cell) for cell in cells)} |")
     means = _means(records)
     hidden = len(records) - _MAX_ROWS
@@ -263,7 +256,3 @@ def _ellipse(points: Array) -> Array:
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
     drawn: Array = mean + circle * 2.0 * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     return drawn
-
-
-def _side(x: float) -> str:
-    return "right" if x > 0 else "left" if x < 0 else ""

@@ -382,12 +382,18 @@ def overrides(
     """
     parts = parts_of(catalogue, hardware)
     absorbers = parts.arm_absorber, parts.wrist_absorber
+    # The right arm's clearance grows with the absorber's stroke; the wrist's absorber stands at its radius.
+    stroke, travel = absorbers[0].stroke, absorbers[1].stroke / absorbers[1].radius
+    longer = max(stroke - shipped.right_arm.stop.travel, 0.0)
+    stops = (
+        _stop(absorbers[0], stroke, shipped.right_arm.clearance + longer),
+        _stop(absorbers[1], travel, max(0.12, travel - 0.054)),
+    )
     plant: dict[str, Any] = {
         "wrist_lever": hardware.lever,
         "shoulder": _actuator(shipped.shoulder, (parts.vane.displacement,) * 2, parts, 0),
-        "right_arm": _actuator(shipped.right_arm, parts.arm.areas, parts, 1)
-        | _arm_stop(absorbers[0], shipped.right_arm),
-        "wrist": _actuator(shipped.wrist, parts.wrist.areas, parts, 2) | _wrist_stop(absorbers[1]),
+        "right_arm": _actuator(shipped.right_arm, parts.arm.areas, parts, 1) | stops[0],
+        "wrist": _actuator(shipped.wrist, parts.wrist.areas, parts, 2) | stops[1],
         "supply": _supply(parts, hardware, shipped),
     }
     if hardware.lever_angle:
@@ -442,29 +448,14 @@ def _set_ranges(plant: dict[str, Any], frame: FramePart, shipped: PlantParameter
     plant["wrist"]["lower_deg"] = degrees(shipped.wrist.upper - frame.wrist_cock)
 
 
-def _arm_stop(absorber: AbsorberPart, shipped: Actuator) -> dict[str, Any]:
-    """Return the right arm's stop: its clearance grows with the absorber's stroke beyond the shipped one."""
-    longer = max(absorber.stroke - shipped.stop.travel, 0.0)
-    return {
-        "clearance": shipped.clearance + longer,
-        "stop": {"energy": absorber.energy, "travel": absorber.stroke, "rated": absorber.rated},
-    }
-
-
-def _wrist_stop(absorber: AbsorberPart) -> dict[str, Any]:
-    """Return the wrist's stop, whose absorber stands at its `radius`."""
-    travel = absorber.stroke / absorber.radius
-    return {
-        "clearance": max(0.12, travel - 0.054),
-        "stop": {"energy": absorber.energy, "travel": travel, "rated": absorber.rated},
-    }
+def _stop(absorber: AbsorberPart, travel: float, clearance: float) -> dict[str, Any]:
+    stop = {"energy": absorber.energy, "travel": travel, "rated": absorber.rated}
+    return {"clearance": clearance, "stop": stop}
 
 
 def _supply(parts: Parts, hardware: Hardware, shipped: PlantParameters) -> dict[str, Any]:
-    supply = shipped.supply
-    swept = max(
-        parts.arm.areas[0] / shipped.right_arm.area_a, parts.vane.displacement / shipped.shoulder.area_a
-    )
+    supply, area, displacement = shipped.supply, parts.arm.areas[0], parts.vane.displacement
+    swept = max(area / shipped.right_arm.area_a, displacement / shipped.shoulder.area_a)
     return {
         "pressure": hardware.pressure,
         "feed_conductance": parts.feed.conductance,

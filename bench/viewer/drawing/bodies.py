@@ -290,11 +290,6 @@ class Material(NamedTuple):
     colour: Colour
 
 
-def envelope(material: Material, mass: float, volume: float) -> Material:
-    """Return `material` with the mean density of a bought part of `mass` (kg) drawn as `volume` (m3)."""
-    return material._replace(density=mass / volume)
-
-
 STEEL = Material("steel", 0.283 * _POUND_PER_CUBIC_INCH, (112, 122, 136))
 ALUMINIUM = Material("aluminium", 0.098 * _POUND_PER_CUBIC_INCH, (196, 203, 211))
 CYLINDER = ALUMINIUM._replace(name="cylinder", colour=(38, 112, 178))
@@ -341,13 +336,8 @@ class DrawnBody:
     @cached_property
     def without_joints(self) -> Volume:
         """The same without pins and bores: the mass that the dynamics model includes."""
-        return joined(
-            [
-                (part.material.density, getattr(part.solid, "stock", part.solid.volume))
-                for part in self.parts
-                if not part.joint
-            ]
-        )
+        counted = [(p.material.density, p.solid) for p in self.parts if not p.joint]
+        return joined([(density, getattr(solid, "stock", solid.volume)) for density, solid in counted])
 
     @cached_property
     def mesh(self) -> Mesh:

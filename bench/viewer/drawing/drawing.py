@@ -11,11 +11,13 @@ dynamics are those of a plane.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from math import cos, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from bench.base.errors import BenchError
 from bench.viewer.drawing.bodies import (
@@ -41,7 +43,6 @@ from bench.viewer.drawing.bodies import (
     PlacedBody,
     Solid,
     Tube,
-    envelope,
 )
 from sim.kinematics import UnreachablePose, inverse_kinematics, joint_positions
 from sim.plant import PlantParameters, Site
@@ -81,16 +82,14 @@ def body_poses(plant: PlantParameters, q: Array) -> dict[str, tuple[Array, Array
         "right_arm_rod": (r3, right_arm),
         "right_arm_cylinder": (r6, right_arm + pi),
     }
-    return {name: (_in_space(point), _about_z(angle)) for name, (point, angle) in placed.items()}
-
-
-def _in_space(points: Array) -> Array:
-    return np.column_stack([points, np.zeros(len(points))])
-
-
-def _about_z(angle: Array) -> Array:
-    half, nothing = angle / 2, np.zeros_like(angle)
-    return np.column_stack([nothing, nothing, np.sin(half), np.cos(half)])
+    flat = np.zeros(len(q))
+    return {
+        name: (
+            np.column_stack([point, flat]),
+            np.column_stack([flat, flat, np.sin(angle / 2), np.cos(angle / 2)]),
+        )
+        for name, (point, angle) in placed.items()
+    }
 
 
 def address(plant: PlantParameters) -> Array:
@@ -103,9 +102,8 @@ def address(plant: PlantParameters) -> Array:
     try:
         q = inverse_kinematics(plant.robot, [site.ball_x, site.ball_y, -pi / 2])
     except UnreachablePose as error:
-        raise BenchError(
-            "plant.site", str(error), "a ball within the arm's reach", "Correct ball_x or ball_y."
-        ) from None
+        wanted, action = "a ball within the arm's reach", "Correct ball_x or ball_y."
+        raise BenchError("plant.site", str(error), wanted, action) from None
     middle = (plant.wrist.lower + plant.wrist.upper) / 2
     q[2] += 2 * pi * round((middle - q[2]) / (2 * pi))
     return q
@@ -210,20 +208,12 @@ def shoulder_link(plant: PlantParameters) -> DrawnBody:
     robot, at, size = plant.robot, layers_of(plant), _link_size(plant)
     middle = robot.shoulder_link.centre_of_mass
     bores = tuple(Bore(x - middle, 0.0, r) for x, r in ((0.0, 0.015), (robot.l12, PIN), (-robot.l16, PIN)))
-    back = at.right_arm - bore_radius(plant.right_arm) - WALL
-    return DrawnBody(
-        "shoulder_link",
-        (
-            Part("link", Bar(size, (middle, 0.0, 0.0), bores=bores), STEEL),
-            Part("pin R2", _pin(robot.l12, -size[2] / 2 - GAP, at.arm_front + GAP), STEEL, joint=True),
-            Part("pin R6", _pin(-robot.l16, back, size[2] / 2 + GAP), STEEL, joint=True),
-        ),
-        robot.shoulder_link,
-    )
-
-
-def _pin(x: float, low: float, high: float) -> Tube:
-    return Tube((x, 0.0, low), (x, 0.0, high), PIN)
+    back, past = at.right_arm - bore_radius(plant.right_arm) - WALL, size[2] / 2 + GAP
+    ends = {"pin R2": (robot.l12, -past, at.arm_front + GAP), "pin R6": (-robot.l16, back, past)}
+    pins = {name: Tube((x, 0.0, low), (x, 0.0, high), PIN) for name, (x, low, high) in ends.items()}
+    link = Part("link", Bar(size, (middle, 0.0, 0.0), bores=bores), STEEL)
+    parts = (link, *(Part(name, pin, STEEL, joint=True) for name, pin in pins.items()))
+    return DrawnBody("shoulder_link", parts, robot.shoulder_link)
 
 
 def actuator_places(plant: PlantParameters) -> tuple[float, float]:
@@ -256,26 +246,15 @@ def left_arm(plant: PlantParameters) -> DrawnBody:
     bores = (Bore(-middle, 0.0, PIN), Bore(plant.robot.l23 - middle, 0.0, PIN))
     plate_at, cylinder_at = actuator_places(plant)
     half = _cylinder_length(plant) / 2
-    cylinder = Tube(
-        (cylinder_at - half, 0.0, at.yoke),
-        (cylinder_at + half, 0.0, at.yoke),
-        bore_radius(plant.wrist) + WALL,
-        rod_radius(plant.wrist),
-    )
+    ends = [(cylinder_at + side * half, 0.0, at.yoke) for side in (-1.0, 1.0)]
+    cylinder = Tube(*ends, bore_radius(plant.wrist) + WALL, rod_radius(plant.wrist))
     plate = Bar(PLATE, (plate_at, 0.0, at.arm_front + PLATE_HEIGHT / 2))
-    return DrawnBody(
-        "left_arm",
-        (
-            Part("arm", Bar(size, (middle, 0.0, at.arm), bores=bores), ALUMINIUM),
-            Part("plate", plate, envelope(ALUMINIUM, share * _PLATE_SHARE, plate.volume.volume)),
-            Part(
-                "wrist cylinder",
-                cylinder,
-                envelope(CYLINDER, share * _ACTUATOR_SHARE, cylinder.volume.volume),
-            ),
-        ),
-        body,
+    parts = (
+        Part("arm", Bar(size, (middle, 0.0, at.arm), bores=bores), ALUMINIUM),
+        _of_mass("plate", plate, ALUMINIUM, share * _PLATE_SHARE),
+        _of_mass("wrist cylinder", cylinder, CYLINDER, share * _ACTUATOR_SHARE),
     )
+    return DrawnBody("left_arm", parts, body)
 
 
 def wrist_rod(plant: PlantParameters) -> DrawnBody:
@@ -356,15 +335,12 @@ def right_arm_cylinder(plant: PlantParameters) -> DrawnBody:
     caps = ALUMINIUM.density * (rear.volume.volume + front.volume.volume)
     area = max(body.mass - caps, 0.0) / (ALUMINIUM.density * (end + behind))
     outer = max(sqrt(bore**2 + area / pi), bore + _MIN_WALL)
-    return DrawnBody(
-        "right_arm_cylinder",
-        (
-            Part("right-arm tube", Tube((-behind, 0.0, at), (end, 0.0, at), outer, bore), CYLINDER),
-            Part("right-arm rear cap", rear, ALUMINIUM),
-            Part("right-arm front cap", front, ALUMINIUM),
-        ),
-        body,
+    parts = (
+        Part("right-arm tube", Tube((-behind, 0.0, at), (end, 0.0, at), outer, bore), CYLINDER),
+        Part("right-arm rear cap", rear, ALUMINIUM),
+        Part("right-arm front cap", front, ALUMINIUM),
     )
+    return DrawnBody("right_arm_cylinder", parts, body)
 
 
 def right_arm_rod(plant: PlantParameters) -> DrawnBody:
@@ -381,15 +357,9 @@ def right_arm_rod(plant: PlantParameters) -> DrawnBody:
     left = max(body.mass - weight - CHROME.density * rod.volume.volume, 0.01)
     height = left / (STEEL.density * pi * (_EYE**2 - PIN**2))
     eye = Tube((0.0, 0.0, at - height / 2), (0.0, 0.0, at + height / 2), _EYE, PIN)
-    return DrawnBody(
-        "right_arm_rod",
-        (
-            Part("right-arm rod", rod, CHROME),
-            Part("right-arm piston", piston, ACETAL),
-            Part("right-arm eye", eye, STEEL),
-        ),
-        body,
-    )
+    pieces = ("rod", rod, CHROME), ("piston", piston, ACETAL), ("eye", eye, STEEL)
+    parts = tuple(Part(f"right-arm {name}", solid, material) for name, solid, material in pieces)
+    return DrawnBody("right_arm_rod", parts, body)
 
 
 _MOUNT_WIDTH = 0.050
@@ -405,9 +375,7 @@ _HEIGHT_RATIO = 0.44
 def club_body(plant: PlantParameters) -> DrawnBody:
     """Return mount, shaft and head in the club's frame: x along the shaft, y to the target at address."""
     club = plant.robot.club
-    return DrawnBody(
-        "club", (*_mount(plant), Part("shaft", *_shaft(club)), *_head(plant.robot, plant.site)), club
-    )
+    return DrawnBody("club", (*_mount(plant), _shaft(club), *_head(plant.robot, plant.site)), club)
 
 
 def _mount(plant: PlantParameters) -> tuple[Part, ...]:
@@ -421,13 +389,13 @@ def _mount(plant: PlantParameters) -> tuple[Part, ...]:
     return clamp, pin, *lever
 
 
-def _shaft(club: Club) -> tuple[Tube, Material]:
+def _shaft(club: Club) -> Part:
     """Return the shaft as a tube whose wall makes up its mass; solid if even that is too light."""
     material = SHAFT_STEEL if club.shaft_mass / club.shaft_length > _STEEL_SHAFT else COMPOSITE
     inner_squared = club.shaft_radius**2 - club.shaft_mass / (material.density * pi * club.shaft_length)
     start, end = (0.0, 0.0, 0.0), (club.shaft_length, 0.0, 0.0)
     tube = Tube(start, end, club.shaft_radius, sqrt(max(inner_squared, 0.0)))
-    return tube, envelope(material, club.shaft_mass, tube.volume.volume)
+    return _of_mass("shaft", tube, material, club.shaft_mass)
 
 
 def head_half_sizes(club: Club) -> Vector:
@@ -471,7 +439,8 @@ def _head(robot: RobotParameters, site: Site) -> tuple[Part, ...]:
 
 
 def _of_mass(name: str, solid: Solid, material: Material, mass: float) -> Part:
-    return Part(name, solid, envelope(material, mass, solid.volume.volume))
+    """Return a bought part: `material` gets the mean density of `mass` (kg) drawn as `solid`."""
+    return Part(name, solid, material._replace(density=mass / solid.volume.volume))
 
 
 # Drive, stand, tee, ball and guard --------------------------------------------------------------------
@@ -493,13 +462,9 @@ def drive(plant: PlantParameters) -> DrawnBody:
     area = max(plant.shoulder.area_a, plant.shoulder.area_b)
     radius = sqrt(2 * area / _VANE_WIDTH + _VANE_HUB**2) + _HOUSING
     back = front - _VANE_WIDTH - 2 * _HOUSING
-    return DrawnBody(
-        "drive",
-        (
-            Part("vane drive", Tube((0.0, 0.0, back), (0.0, 0.0, front), radius), CYLINDER),
-            Part("axle R1", Tube((0.0, 0.0, front), (0.0, 0.0, 2 * GAP), AXLE), STEEL, joint=True),
-        ),
-    )
+    housing = Part("vane drive", Tube((0.0, 0.0, back), (0.0, 0.0, front), radius), CYLINDER)
+    axle = Tube((0.0, 0.0, front), (0.0, 0.0, 2 * GAP), AXLE)
+    return DrawnBody("drive", (housing, Part("axle R1", axle, STEEL, joint=True)))
 
 
 def stand(plant: PlantParameters) -> DrawnBody:
@@ -511,14 +476,12 @@ def stand(plant: PlantParameters) -> DrawnBody:
     feet = [(origin[0] + x, 0.0, saddle[2] + z) for x, z in ((-0.45, 0.25), (0.45, 0.25), (0.0, -0.70))]
     legs = [Tube(saddle, foot, _STRUT, _STRUT - _STRUT_WALL) for foot in feet]
     plates = [Bar((0.12, 0.01, 0.12), (float(x), 0.005, float(z))) for x, _, z in feet]
-    return DrawnBody(
-        "stand",
-        (
-            Part("saddle", Tube(top, saddle, 0.05), FRAME),
-            *(Part(f"leg {number}", leg, FRAME) for number, leg in enumerate(legs, 1)),
-            *(Part(f"foot {number}", plate, FRAME) for number, plate in enumerate(plates, 1)),
-        ),
-    )
+    parts = *_numbered("leg", legs, FRAME), *_numbered("foot", plates, FRAME)
+    return DrawnBody("stand", (Part("saddle", Tube(top, saddle, 0.05), FRAME), *parts))
+
+
+def _numbered(name: str, solids: Sequence[Solid], material: Material) -> Iterator[Part]:
+    return (Part(f"{name} {number}", solid, material) for number, solid in enumerate(solids, 1))
 
 
 def tee(plant: PlantParameters) -> DrawnBody:
@@ -550,13 +513,7 @@ def guard(plant: PlantParameters) -> DrawnBody:
     rails = [Bar(wide, ((left + right) / 2, height, back)) for height in (low, middle, high)]
     rails += [Bar(wide, ((left + right) / 2, height, front)) for height in (low, high)]
     rails += [Bar(deep, (left, height, (back + front) / 2)) for height in (low, middle, high)]
-    return DrawnBody(
-        "guard",
-        (
-            *(Part(f"post {number}", post, GUARD) for number, post in enumerate(posts, 1)),
-            *(Part(f"rail {number}", rail, GUARD) for number, rail in enumerate(rails, 1)),
-        ),
-    )
+    return DrawnBody("guard", (*_numbered("post", posts, GUARD), *_numbered("rail", rails, GUARD)))
 
 
 class Drawing(NamedTuple):
@@ -594,8 +551,7 @@ def placed(plant: PlantParameters) -> list[PlacedBody]:
     bodies = []
     for body in drawing.moving:
         (point,), (quaternion,) = poses[body.name]
-        s, c = 2 * quaternion[2] * quaternion[3], 1 - 2 * quaternion[2] ** 2
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        turn = Rotation.from_quat(quaternion).as_matrix()
         bodies.append(PlacedBody(body, axes @ turn, axes @ point + origin))
     bodies += [PlacedBody(body, axes, origin) for body in drawing.fixed_in_plane]
     return bodies + [PlacedBody(body, np.eye(3), np.zeros(3)) for body in drawing.fixed]

@@ -43,7 +43,6 @@ from bench.viewer.drawing.bodies import (
     Colour,
     DrawnBody,
     Ellipsoid,
-    Mesh,
     Part,
     PlacedBody,
     Solid,
@@ -166,8 +165,8 @@ class Hinge(NamedTuple):
 
 def joints(plant: PlantParameters) -> list[Hinge]:
     """Return the five joints; the first three are the bench's."""
-    robot, low = plant.robot, plant.robot.l56 + plant.right_arm.lower
-    high = plant.robot.l56 + plant.right_arm.upper
+    robot, arm = plant.robot, plant.right_arm
+    low, high = robot.l56 + arm.lower, robot.l56 + arm.upper
 
     def turning(name: str, parent: str, child: str, x: float, actuator: Actuator) -> Hinge:
         return Hinge(name, "revolute", parent, child, x, actuator.lower - _SLACK, actuator.upper + _SLACK)
@@ -191,7 +190,9 @@ def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) 
     (folder / MESHES).mkdir(parents=True, exist_ok=True)
     drawing = draw(plant)
     robot = Element("robot", name="golfbench")
-    _for_mujoco(robot, plant)
+    extension = SubElement(robot, "mujoco")  # settings that URDF lacks: gravity, and the folder of the meshes
+    SubElement(extension, "compiler", meshdir=MESHES, fusestatic="false", balanceinertia="false")
+    SubElement(extension, "option", gravity=f"0 0 {-plant.robot.gravity!r}")
     files: list[Path] = []
     _link(robot, "ground")
     for body in drawing.fixed:
@@ -215,20 +216,28 @@ def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) 
                 _club_outline(link, plant)
     for hinge in joints(plant):
         _joint(robot, hinge)
-    for name, parent, x in zip(
-        CLOSURE, ("shoulder_link", "right_arm_cylinder"), (-plant.robot.l16, 0.0), strict=True
-    ):
+    ends = {"shoulder_link": (-plant.robot.l16, 0.0, 0.0), "right_arm_cylinder": (0.0, 0.0, 0.0)}
+    for name, (parent, at) in zip(CLOSURE, ends.items(), strict=True):
         _link(robot, name)
-        _fixed(robot, parent, name, (x, 0.0, 0.0))
-    files += [_write_xml(folder, robot), _write_closure(folder, plant)]
+        _fixed(robot, parent, name, at)
+    # The loop, which URDF cannot express, and the meaning of the joints' efforts.
+    closure = {
+        "kind": "point",
+        "links": CLOSURE,
+        "bodies": list(ends),
+        "points_m": list(ends.values()),
+        "gravity_m_per_s2": [0.0, 0.0, -plant.robot.gravity],
+        "efforts": {"shoulder": "N m", "wrist": "N m", "cylinder": "N, positive lengthens the right arm"},
+    }
+    indent(robot)
+    for path in (folder / "golfbench.urdf", folder / "closure.json"):
+        files.append(path)
+        with atomic_file(path) as stream:
+            if path.suffix == ".json":
+                stream.write(json.dumps(closure, indent=2).encode() + b"\n")
+            else:
+                ElementTree(robot).write(stream, encoding="utf-8", xml_declaration=True)
     return files
-
-
-def _for_mujoco(robot: Element, plant: PlantParameters) -> None:
-    """Add the MuJoCo settings that URDF lacks: gravity, and the folder of the meshes."""
-    extension = SubElement(robot, "mujoco")
-    SubElement(extension, "compiler", meshdir=MESHES, fusestatic="false", balanceinertia="false")
-    SubElement(extension, "option", gravity=f"0 0 {-plant.robot.gravity!r}")
 
 
 def _link(robot: Element, name: str) -> Element:
@@ -304,30 +313,6 @@ def _joint(robot: Element, hinge: Hinge) -> None:
     SubElement(joint, "limit", {key: repr(float(value)) for key, value in limits.items()})
 
 
-def _write_xml(folder: Path, robot: Element) -> Path:
-    path = folder / "golfbench.urdf"
-    indent(robot)
-    with atomic_file(path) as stream:
-        ElementTree(robot).write(stream, encoding="utf-8", xml_declaration=True)
-    return path
-
-
-def _write_closure(folder: Path, plant: PlantParameters) -> Path:
-    """Write the loop, which URDF cannot express, and the meaning of the joints' efforts."""
-    path = folder / "closure.json"
-    text = {
-        "kind": "point",
-        "links": CLOSURE,
-        "bodies": ["shoulder_link", "right_arm_cylinder"],
-        "points_m": [[-plant.robot.l16, 0.0, 0.0], [0.0, 0.0, 0.0]],
-        "gravity_m_per_s2": [0.0, 0.0, -plant.robot.gravity],
-        "efforts": {"shoulder": "N m", "wrist": "N m", "cylinder": "N, positive lengthens the right arm"},
-    }
-    with atomic_file(path) as stream:
-        stream.write(json.dumps(text, indent=2).encode() + b"\n")
-    return path
-
-
 REASONS = {
     "shoulder_link": "bar exact; its bores and the pins of R2 and R6 are not in the dynamics",
     "left_arm": "bar, plate and cylinder exact; the bores of R2 and R3 are not in the dynamics",
@@ -356,23 +341,15 @@ class MassRow(NamedTuple):
 
 def mass_rows(plant: PlantParameters) -> list[MassRow]:
     """Return a row for each body of the dynamics."""
-    return [_row(body, body.assumed) for body in draw(plant).moving if body.assumed is not None]
-
-
-def _row(body: DrawnBody, assumed: Body | Club) -> MassRow:
-    drawn = body.weighed
-    return MassRow(
-        body.name,
-        assumed.mass,
-        drawn.volume,
-        assumed.centre_of_mass,
-        float(drawn.centroid[0]),
-        float(drawn.centroid[1]),
-        assumed.inertia,
-        float(drawn.inertia[2, 2]),
-        drawn.volume - body.without_joints.volume,
-        REASONS[body.name],
-    )
+    rows = []
+    for body in draw(plant).moving:
+        if (assumed := body.assumed) is not None:
+            drawn, (x, y, _) = body.weighed, body.weighed.centroid.tolist()
+            masses, inertias = (assumed.mass, drawn.volume), (assumed.inertia, float(drawn.inertia[2, 2]))
+            pins = drawn.volume - body.without_joints.volume
+            about = pins, REASONS[body.name]
+            rows.append(MassRow(body.name, *masses, assumed.centre_of_mass, x, y, *inertias, *about))
+    return rows
 
 
 def write_mass_table(path: Path, rows: list[MassRow]) -> None:
@@ -431,22 +408,10 @@ def solid_shape(b: Any, solid: Solid) -> Any:
             ball = b.Solid.make_sphere(_MM * solid.half[0], angle1=-90, angle2=90, angle3=360)
             return ball.moved(b.Location(tuple(_MM * value for value in solid.centre)))
         case Ellipsoid():
-            return _faceted(b, solid.mesh)
-
-
-def _faceted(b: Any, mesh: Mesh) -> Any:
-    """Return a mesh as a faceted solid: CAD programs misread the surfaces of scaled spheres."""
-    corners = _MM * mesh.vertices[mesh.triangles]
-    faces = [b.Face(b.Wire.make_polygon([tuple(map(float, c)) for c in triangle])) for triangle in corners]
-    return b.Solid(b.Shell(faces))
-
-
-def _one(shape: Any) -> Any:
-    """Return the only solid of `shape`; ValueError unless there is exactly one."""
-    solids = shape.solids()
-    if len(solids) != 1:
-        raise ValueError(f"{len(solids)} solids, expected one")
-    return solids[0]
+            # Faceted: CAD programs misread the surfaces of scaled spheres.
+            corners = _MM * solid.mesh.vertices[solid.mesh.triangles]
+            wires = [b.Wire.make_polygon([tuple(map(float, c)) for c in triangle]) for triangle in corners]
+            return b.Solid(b.Shell(list(map(b.Face, wires))))
 
 
 def step_assembly(b: Any, bodies: Sequence[PlacedBody]) -> Any:
@@ -456,7 +421,8 @@ def step_assembly(b: Any, bodies: Sequence[PlacedBody]) -> Any:
         location = _location(b, Y_UP_TO_Z_UP @ one.turn, _MM * (Y_UP_TO_Z_UP @ one.at))
         children = []
         for part in one.body.parts:
-            shape = _one(solid_shape(b, part.solid)).moved(location)
+            (solid,) = solid_shape(b, part.solid).solids()
+            shape = solid.moved(location)
             shape.label = part.name
             shape.color = b.Color(*(value / 255 for value in part.material.colour))
             children.append(shape)
