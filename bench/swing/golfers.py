@@ -12,11 +12,12 @@ free, so that its angle is the torque-free response of the club, within the huma
 each motion continues at its last speed until the head passes the ball.
 
 Source of Hunt's functions: E. A. Hunt (2002, 2003), quoted in tables 1 and 2 of the thesis (Meymi, "Modeling
-and control of parallel arm golfing robot", KTH 2009). They are as printed; `step` is ADAMS' cubic smooth
-step, not the tanh the thesis takes it for. The turn counts from address and is positive in the backswing: a
-robot that follows it has theta1 = theta1 at address - turn. Table 2 starts it at zero again, so the whole
-swing adds the turn at the top. The right arm's displacement counts from Hunt's zero (unpublished), negative
-is shorter.
+and control of parallel arm golfing robot", KTH 2009). They are as printed: in the backswing a turn of 2.639
+rad/s and a displacement of -0.03032 m + STEP(t, 0.2, 0, 0.686, -0.2035), in the downswing 11.8028 rad/s and
+-0.23382 m + STEP(t, 0, 0, 0.1667, 0.2035). STEP is ADAMS' cubic smooth step, not the tanh the thesis takes it
+for. The turn counts from address and is positive in the backswing: a robot that follows it has theta1 =
+theta1 at address - turn. Table 2 starts it at zero again, so the whole swing adds the turn at the top. The
+right arm's displacement counts from Hunt's zero (unpublished), negative is shorter.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from math import radians
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from bench.base.errors import BenchError, did_you_mean
@@ -191,41 +192,18 @@ def _hunts_motion(plant: PlantParameters) -> tuple[Array, Array]:
     """Return time (n,; s) and angles (n, 3; rad) of Hunt's downswing, with a free wrist."""
     robot = plant.robot
     time: Array = np.arange(round(_MAX_LENGTH * DOWNSWING_DURATION / _STEP), dtype=float) * _STEP
-    own = BACKSWING_DURATION + np.minimum(time, DOWNSWING_DURATION)
+    # His clock starts with the backswing.
+    down = (BACKSWING_DURATION + np.minimum(time, DOWNSWING_DURATION)) - BACKSWING_DURATION
     past = np.maximum(time - DOWNSWING_DURATION, 0.0)
-    extension = _ADDRESS[1] + arm_displacement(own) - _RIGHT_ARM_AT_ADDRESS
+    share = np.clip(down / DOWNSWING_DURATION, 0.0, 1.0)
+    displacement = 0.2035 * share**2 * (3.0 - 2.0 * share) - 0.23382
+    extension = _ADDRESS[1] + displacement - _RIGHT_ARM_AT_ADDRESS
+    turn = 2.639 * BACKSWING_DURATION - DOWNSWING_TURN * down
     angle, speed = np.zeros((len(time), 3)), np.zeros((len(time), 3))
-    angle[:, 0] = _ADDRESS[0] - shoulder_turn(own) + DOWNSWING_TURN * past
+    angle[:, 0] = _ADDRESS[0] - turn + DOWNSWING_TURN * past
     angle[:, 1] = theta2_from_right_arm(robot, _THESIS_ARM + extension)
     speed[:, 0] = DOWNSWING_TURN
     speed[:, 1] = np.gradient(angle[:, 1], _STEP)
     angle[0, 2] = max(2 * np.pi - _COCK_AT_TOP, _WRIST[0])
     free_wrist(robot.record, angle, speed, np.gradient(speed[:, 1], _STEP), *_WRIST, _STEP)
     return time, angle
-
-
-def step(t: ArrayLike, t0: float, h0: float, t1: float, h1: float) -> Array:
-    """Return ADAMS' STEP: h0 before t0, h1 after t1, h0 + (h1 - h0) s^2 (3 - 2 s) between.
-
-    `t` has any shape; ValueError unless t0 < t1.
-    """
-    if not t0 < t1:
-        raise ValueError(f"step: found t0 = {t0}, t1 = {t1}; t0 must lie before t1")
-    s = np.clip((np.asarray(t, dtype=float) - t0) / (t1 - t0), 0.0, 1.0)
-    return np.asarray(h0 + (h1 - h0) * s**2 * (3.0 - 2.0 * s))
-
-
-def shoulder_turn(t: ArrayLike) -> Array:
-    """Return the shoulder turn (rad) at time t (s) from the start of the backswing."""
-    t = np.asarray(t, dtype=float)
-    back = np.minimum(t, BACKSWING_DURATION)
-    down = np.maximum(t - BACKSWING_DURATION, 0.0)
-    return np.asarray(2.639 * back - DOWNSWING_TURN * down)
-
-
-def arm_displacement(t: ArrayLike) -> Array:
-    """Return the right arm's displacement (m) at time t (s) from the start of the backswing."""
-    t = np.asarray(t, dtype=float)
-    back = step(t, 0.2, 0.0, BACKSWING_DURATION, -0.2035) - 0.03032
-    down = step(t - BACKSWING_DURATION, 0.0, 0.0, DOWNSWING_DURATION, 0.2035) - 0.23382
-    return np.where(t < BACKSWING_DURATION, back, down)

@@ -295,7 +295,7 @@ def load_profile(path: Path) -> Profile:
     """
     raw = read_toml(path, "a swing profile", "`golfbench profile list` shows the known ones.")
     beside = raw.get("schema") == SCHEMA
-    _check_keys(path, raw, _BESIDE if beside else {}, () if beside else tuple(_TABLES))
+    _check_keys(path, raw, beside=beside)
     tables = {key: _array(path, key, raw[key], 1) for key in _LISTS}
     if beside:
         tables |= _read_table(path, raw)
@@ -333,11 +333,9 @@ def load_profile(path: Path) -> Profile:
     )
 
 
-def _check_keys(
-    path: Path, raw: dict[str, Any], beside: dict[str, tuple[type, str]], tables: tuple[str, ...]
-) -> None:
-    scalars = _SCALARS | beside
-    known = {*scalars, *_LISTS, *tables, *_GROUPS}
+def _check_keys(path: Path, raw: dict[str, Any], *, beside: bool) -> None:
+    scalars = _SCALARS | (_BESIDE if beside else {})
+    known = {*scalars, *_LISTS, *(() if beside else _TABLES), *_GROUPS}
     allowed = known | {"address", "followed"}
     for key in sorted(set(raw) - allowed):
         action = did_you_mean(key, allowed, _ACTION)
@@ -353,11 +351,9 @@ def _check_keys(
         wanted = f"{SCHEMA!r}, or {SCHEMA_WITH_TABLES!r} with tables in the file"
         raise BenchError(f"{path}: schema", repr(raw["schema"]), wanted, _ACTION)
     for key in _GROUPS:
-        group = raw[key]
-        if not isinstance(group, dict) or not all(
-            type(v) in {int, float} and abs(v) <= MAX_FINITE for v in group.values()
-        ):
-            raise BenchError(f"{path}: {key}", repr(group), "a table of finite numbers", _ACTION)
+        values = raw[key].values() if isinstance(raw[key], dict) else [None]
+        if not all(type(value) in {int, float} and abs(value) <= MAX_FINITE for value in values):
+            raise BenchError(f"{path}: {key}", repr(raw[key]), "a table of finite numbers", _ACTION)
 
 
 def _address_air(path: Path, table: Any) -> tuple[tuple[float, ...], float]:
@@ -369,10 +365,9 @@ def _address_air(path: Path, table: Any) -> tuple[tuple[float, ...], float]:
         raise BenchError(f"{path}: address", format_value(table), expected, _ACTION_ADDRESS)
     low, high = _PRESSURES
     for key, number in _ADDRESS.items():
-        values = table[key] if isinstance(table[key], list) else [table[key]]
-        good = (
-            len(values) == number and _only_numbers(values) and isinstance(table[key], list) == (number > 1)
-        )
+        listed = isinstance(table[key], list)
+        values = table[key] if listed else [table[key]]
+        good = len(values) == number and _only_numbers(values) and listed == (number > 1)
         if not good or not all(low <= value <= high for value in values):
             expected = f"{number} pressure{'s' * (number > 1)} from {low:g} to {high:g} Pa absolute"
             raise BenchError(f"{path}: address.{key}", format_value(table[key]), expected, _ACTION_ADDRESS)
@@ -495,14 +490,13 @@ def save_profile(path: Path, profile: Profile) -> Path:
 
 def profile_text(profile: Profile) -> str:
     """Return `profile` with its tables as one TOML file, to read or edit; one row of a table a line."""
-    columns = "# Columns: shoulder, arm, wrist."
-    blind = (
-        "# Openings of the three valves, then how long each holds (s); one row every blind_spacing samples."
-    )
+    blind = "Openings of the three valves, then how long each holds (s); one row every blind_spacing samples."
+    above = {"angle_rad": ["# Columns: shoulder, arm, wrist."], "blind_brake": [f"# {blind}"]}
     tables: list[str] = []
     for key, name in _TABLES.items():
-        tables += [*([blind] if key == "blind_brake" else [columns] if key == "angle_rad" else [])]
-        tables += [f"{key} = [", *_rows(getattr(profile, name), DIGITS[name]), "]"]
+        rows, digits = getattr(profile, name), DIGITS[name]
+        lines = ("  [" + ", ".join(f"{value:.{digits}f}" for value in row) + "]," for row in rows)
+        tables += [*above.get(key, ()), f"{key} = [", *lines, "]"]
     return "\n".join([*_head(profile, SCHEMA_WITH_TABLES), *tables, *_tail(profile)]) + "\n"
 
 
@@ -538,7 +532,3 @@ def _tail(profile: Profile) -> Iterator[str]:
         yield "[followed]"
         for key, value in profile.followed.items():
             yield f"{key} = {toml_value(value)}"
-
-
-def _rows(array: Array, digits: int) -> Iterator[str]:
-    return ("  [" + ", ".join(f"{value:.{digits}f}" for value in row) + "]," for row in array)

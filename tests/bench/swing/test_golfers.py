@@ -7,30 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from bench.base.errors import BenchError
 from bench.config import load_configuration
 from bench.design.designer import top_pose
 from bench.design.golfer_tracking import RUN_UP, SLOWER, TEMPO, demand_like, gave_way
 from bench.design.optimal_control import SwingDemand
-from bench.swing.golfers import (
-    BACKSWING_DURATION,
-    DOWNSWING_DURATION,
-    GOLFERS,
-    Golfer,
-    arm_displacement,
-    free_wrist,
-    human_downswing,
-    shoulder_turn,
-    step,
-)
+from bench.swing.golfers import DOWNSWING_DURATION, GOLFERS, Golfer, free_wrist, human_downswing
 from bench.swing.profile import Profile
 from sim.kane import inverse_dynamics
+from sim.kinematics import right_arm_length
 from sim.plant import PlantParameters
 
-HUNTS_END = BACKSWING_DURATION + DOWNSWING_DURATION
 FROM_REST = [golfer for golfer in GOLFERS.values() if not golfer.as_hunt]
 
 
@@ -134,6 +122,15 @@ def test_gave_way_lists_demanded_and_reached_figures(slow_swing: Profile) -> Non
 def test_human_downswing_of_hunt_keeps_shoulder_speed(plant: PlantParameters) -> None:
     human = human_downswing(plant, GOLFERS["two-handicap"])
     assert np.diff(human.angle[:, 0]) == pytest.approx(11.8028 * 2.5e-4)
+    assert human.angle[0, 0] == pytest.approx(0.45 - 1.810354)
+
+
+def test_human_downswing_of_hunt_lengthens_arm_in_cubic_step(plant: PlantParameters) -> None:
+    human = human_downswing(plant, GOLFERS["two-handicap"])
+    length = right_arm_length(plant.robot, human.angle[:, 1])
+    grown = np.interp([0.0, DOWNSWING_DURATION / 4], human.time, length) - 0.34 - 0.2125
+    assert grown == pytest.approx([-0.2035, -0.2035 * (1 - 0.25**2 * 2.5)], abs=1e-5)
+    assert np.diff(length).max() < 0.5e-3  # without a jump
 
 
 def test_free_wrist_effort_is_zero(plant: PlantParameters) -> None:
@@ -155,42 +152,3 @@ def test_free_wrist_at_end_stop_stays(plant: PlantParameters) -> None:
     speed[0, 2] = -5.0
     free_wrist(plant.robot.record, angle, speed, np.zeros(50), 5.2, 6.3, 1e-4)
     assert angle[:, 2].min() == 5.2
-
-
-def test_step_is_cubic() -> None:
-    assert step([-1.0, 0.0, 0.5, 1.0, 2.0], 0.0, 0.0, 1.0, 1.0) == pytest.approx([0, 0, 0.5, 1, 1])
-    assert step(0.25, 0.0, 0.0, 1.0, 1.0) == pytest.approx(0.25**2 * (3 - 2 * 0.25))
-    # not the tanh which the thesis equates with it
-    assert abs(step(0.25, 0.0, 0.0, 1.0, 1.0) - (np.tanh(-1.5) + 1) / 2) > 0.1
-
-
-@given(st.floats(-5, 5), st.floats(0.01, 5), st.floats(-5, 5), st.floats(-5, 5))
-def test_step_rises_monotonically_with_flat_ends(t0: float, width: float, h0: float, h1: float) -> None:
-    t = np.linspace(t0 - width, t0 + 2 * width, 301)
-    h = step(t, t0, h0, t0 + width, h1)
-    assert np.all(np.diff(h) * np.sign(h1 - h0) >= -1e-12)
-    assert h[0] == h0
-    assert h[-1] == pytest.approx(h1)
-    # mirrored about its middle
-    assert h + h[::-1] == pytest.approx(np.full(301, h0 + h1))
-    ends = step(np.array([t0 + 1e-5 * width, t0 + (1 - 1e-5) * width]), t0, h0, t0 + width, h1)
-    assert ends == pytest.approx([h0, h1], abs=1e-8)
-
-
-def test_step_empty_ramp_is_refused() -> None:
-    with pytest.raises(ValueError, match="t0 must lie before t1"):
-        step(0.0, 1.0, 0.0, 1.0, 1.0)
-
-
-def test_hunt_functions_match_values_at_junctions() -> None:
-    top = BACKSWING_DURATION
-    assert shoulder_turn([0, top, HUNTS_END]) == pytest.approx([0, 1.810354, 1.810354 - 1.96752676])
-    assert arm_displacement([0, 0.2, top, HUNTS_END]) == pytest.approx(
-        [-0.03032, -0.03032, -0.23382, -0.03032]
-    )
-
-
-def test_hunt_functions_are_continuous() -> None:
-    time = np.arange(0.0, HUNTS_END, 1e-3)
-    assert np.abs(np.diff(shoulder_turn(time))).max() < 0.012
-    assert np.abs(np.diff(arm_displacement(time))).max() < 0.002
