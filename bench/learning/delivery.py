@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import asin, cos, radians, sin
+from math import asin, cos, degrees, isnan, radians, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,11 +42,9 @@ class Figures(NamedTuple):
     @property
     def shown(self) -> dict[str, float | None]:
         """The figures with their units in the names; None where unknown."""
-        values = (1e3 * self.strike, self.speed, np.degrees(self.lean), np.degrees(self.attack))
-        names = ("strike_mm", "head_speed_mps", "shaft_lean_deg", "attack_angle_deg")
-        return {
-            name: None if np.isnan(value) else float(value) for name, value in zip(names, values, strict=True)
-        }
+        values = {"strike_mm": 1e3 * self.strike, "head_speed_mps": self.speed}
+        values |= {"shaft_lean_deg": degrees(self.lean), "attack_angle_deg": degrees(self.attack)}
+        return {name: None if isnan(value) else float(value) for name, value in values.items()}
 
 
 UNKNOWN = Figures(*[float("nan")] * 4)

@@ -203,25 +203,16 @@ class Learner:
 
     def _alike(self, number: int) -> list[int]:
         """Return the swings with the correction of swing `number` and the same start."""
-        one = self.trials[number]
-        return [
-            k
-            for k, trial in enumerate(self.trials)
-            if trial.settled == one.settled and np.array_equal(trial.point, one.point)
-        ]
+        point, settled = self.trials[number].point, self.trials[number].settled
+        same = (one.settled == settled and np.array_equal(one.point, point) for one in self.trials)
+        return [k for k, alike in enumerate(same) if alike]
 
     @property
     def confirmed(self) -> bool:
         """Whether a swing and its repetition were well within the tolerances."""
         last = len(self.trials) - 1
-        alike = self._alike(last)
-        if (
-            len(alike) < 2
-            or not self.trials[last].settled
-            or not self._near(self._errors[last][:4], _CONFIRM)
-        ):
-            return False
-        return self._near(self._mean(last))
+        repeated = len(self._alike(last)) >= 2 and self.trials[last].settled
+        return repeated and self._near(self._errors[last][:4], _CONFIRM) and self._near(self._mean(last))
 
     @property
     def chosen(self) -> int:
@@ -277,8 +268,7 @@ class Learner:
         return bool(known.size and np.abs(known).max() <= share)
 
     def _mean(self, number: int) -> Array:
-        errors = [self._errors[k][:4] for k in self._alike(number)]
-        return np.asarray(np.mean(errors, axis=0))
+        return np.asarray(np.mean([self._errors[k][:4] for k in self._alike(number)], axis=0))
 
     def _begun(self, number: int) -> Array:
         """Return the standard deviation (4,) of a swing's figures due to its start."""
@@ -424,8 +414,14 @@ def learn(
     learner = Learner(problem.response, problem.target, problem.path)
     if start is not None:
         learner.point = start
+    bench, rows = problem.bench, problem.response.rows
     for _ in range(swings + 1):
-        attempt = _attempt(problem, swing, learner.point)
+        cycles, figures, cause, settled = swing(learner.point)
+        path = cycles["angle"][rows].copy()
+        path[cycles["cause"][rows] != 0] = np.nan
+        down = cycles[bench.profile.begins[3] : bench.profile.begins[5]]
+        limited = np.abs(down["applied_valve"]).max(axis=1) >= bench.envelope.max_opening
+        attempt = Attempt(learner.point, figures, path, settled, cause, float(np.mean(limited)))
         on_attempt(attempt)
         learner.note(attempt)
         if learner.confirmed:
@@ -434,13 +430,3 @@ def learn(
     weights = learner.trials[chosen].point
     correction = problem.basis.correction(weights)
     return LearningResult(problem, tuple(learner.trials), chosen, weights, correction, learner.scatter)
-
-
-def _attempt(problem: LearningProblem, swing: Swinger, point: Array) -> Attempt:
-    bench, rows = problem.bench, problem.response.rows
-    cycles, figures, cause, settled = swing(point)
-    path = cycles["angle"][rows].copy()
-    path[cycles["cause"][rows] != 0] = np.nan
-    down = cycles[bench.profile.begins[3] : bench.profile.begins[5]]
-    limited = np.abs(down["applied_valve"]).max(axis=1) >= bench.envelope.max_opening
-    return Attempt(point, figures, path, settled, cause, float(np.mean(limited)))

@@ -15,15 +15,7 @@ from bench.learning.delivery import (
     planned_figures,
     strike_from_mark,
 )
-from bench.learning.learn import (
-    ENOUGH,
-    SWINGS,
-    LearningProblem,
-    LearningResult,
-    learn,
-    on_series,
-    prepare,
-)
+from bench.learning.learn import ENOUGH, SWINGS, LearningProblem, LearningResult, learn, on_series, prepare
 from bench.simulation import plant_variation
 from bench.simulation.plant_variation import Variation, drawn
 from bench.simulation.simulated_bench import Bench, Series

@@ -38,19 +38,24 @@ class Robot:
         return Attempt(point, Figures(*figures), self.plan + (self.path @ point).reshape(ROWS, 3))
 
 
-def learned(robot: Robot) -> Learner:
-    learner = Learner(robot.model, TARGET, robot.plan)
+def learning(seed: int, **differs: float) -> tuple[Robot, Learner]:
+    """Return a robot and a learner that has made no swing with it."""
+    robot = Robot(seed, **differs)
+    return robot, Learner(robot.model, TARGET, robot.plan)
+
+
+def learned(seed: int, **differs: float) -> tuple[Robot, Learner]:
+    robot, learner = learning(seed, **differs)
     for _ in range(learn.SWINGS + 1):
         learner.note(robot.swing(learner.point))
         if learner.confirmed:
             break
-    return learner
+    return robot, learner
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_learner_differing_robot_converges_within_twelve_swings(seed: int) -> None:
-    robot = Robot(seed)
-    learner = learned(robot)
+    robot, learner = learned(seed)
     before, after = learner.trials[0], learner.trials[learner.chosen]
     assert np.abs(learner.error(before.figures)).max() > 3.0
     robot.scatter = 0.0
@@ -59,7 +64,7 @@ def test_learner_differing_robot_converges_within_twelve_swings(seed: int) -> No
 
 
 def test_learner_repeated_swing_within_tolerance_confirms() -> None:
-    learner = learned(Robot(1))
+    _, learner = learned(1)
     assert learner.confirmed
     assert len(learner.trials) < 13
     assert np.array_equal(learner.trials[-1].point, learner.trials[-2].point)
@@ -69,7 +74,7 @@ def test_learner_repeated_swing_within_tolerance_confirms() -> None:
 def test_learner_weights_stay_in_bound_and_steps_in_radius(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("MAX_WEIGHT", 0.4), ("RADIUS", 0.5), ("_MAX_RADIUS", 0.5)):
         monkeypatch.setattr(learn, name, value)
-    learner = learned(Robot(2, offset=200.0))
+    _, learner = learned(2, offset=200.0)
     points = np.array([trial.point for trial in learner.trials])
     assert np.abs(points).max() <= 0.4 + 1e-6
     assert np.linalg.norm(points[1]) <= 0.5 + 1e-9
@@ -77,8 +82,7 @@ def test_learner_weights_stay_in_bound_and_steps_in_radius(monkeypatch: pytest.M
 
 
 def test_learner_stopped_swing_is_rejected_and_halves_step() -> None:
-    robot = Robot(3)
-    learner = Learner(robot.model, TARGET, robot.plan)
+    robot, learner = learning(3)
     learner.note(robot.swing(learner.point))
     first = learner.point.copy()
     path = robot.swing(first).path
@@ -91,8 +95,7 @@ def test_learner_stopped_swing_is_rejected_and_halves_step() -> None:
 
 def test_learner_stopped_swings_reduce_path_error() -> None:
     """Before any swing reached the ball the path alone is learned from."""
-    robot = Robot(4)
-    learner = Learner(robot.model, TARGET, robot.plan)
+    robot, learner = learning(4)
     off = robot.path @ np.full(WEIGHTS, 0.3)
     for _ in range(5):
         path = robot.plan + (off + robot.path @ learner.point).reshape(ROWS, 3)
@@ -102,8 +105,7 @@ def test_learner_stopped_swings_reduce_path_error() -> None:
 
 
 def test_learner_unmeasured_figure_is_ignored() -> None:
-    robot = Robot(5)
-    learner = Learner(robot.model, TARGET, robot.plan)
+    robot, learner = learning(5)
     for _ in range(13):
         trial = robot.swing(learner.point)
         learner.note(trial._replace(figures=trial.figures._replace(lean=np.nan)))
@@ -115,8 +117,7 @@ def test_learner_unmeasured_figure_is_ignored() -> None:
 
 
 def test_learner_worse_later_swings_keep_best_trial() -> None:
-    robot = Robot(0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.plan)
+    robot, learner = learning(0, scatter=0.0)
     learner.note(robot.swing(learner.point))
     good = Attempt(learner.point, TARGET, robot.plan)
     learner.note(good)
@@ -127,8 +128,7 @@ def test_learner_worse_later_swings_keep_best_trial() -> None:
 
 
 def test_learner_unsettled_swing_is_neither_confirmed_nor_chosen() -> None:
-    robot = Robot(1, offset=0.0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.plan)
+    robot, learner = learning(1, offset=0.0, scatter=0.0)
     for settled in (False, False, True):
         learner.note(robot.swing(np.zeros(WEIGHTS))._replace(settled=settled))
         assert not learner.confirmed
@@ -143,8 +143,7 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
     for told in (True, False):
         used[told] = 0
         for seed in range(6):
-            robot = Robot(seed, doubt=0.1)
-            learner = Learner(robot.model, TARGET, robot.plan)
+            robot, learner = learning(seed, doubt=0.1)
             first = robot.swing(learner.point)
             fast = first.figures._replace(speed=first.figures.speed + 10 * robot.scale[1])
             learner.note(first._replace(figures=fast, settled=not told))
@@ -156,8 +155,7 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
 
 def test_learner_mean_off_target_takes_further_step() -> None:
     """The prediction is within half the tolerances by swings nearby, the mean at the point is not."""
-    robot = Robot(4, offset=0.0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.plan)
+    robot, learner = learning(4, offset=0.0, scatter=0.0)
     zero = np.zeros(WEIGHTS)
     nearby = [np.full(WEIGHTS, 1e-5 * k) for k in range(1, 5)]
     for point, error in zip((zero, zero, *nearby), (0.1, 1.1, 0.3, 0.3, 0.3, 0.3), strict=True):

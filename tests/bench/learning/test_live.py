@@ -27,15 +27,11 @@ def record(ticks: list[int], swing: int) -> np.ndarray:
     return cycles
 
 
-def test_swung_cycles_start_at_accepted_swing_tick() -> None:
+def test_swung_cycles_start_at_accepted_swing_tick_and_keep_rows() -> None:
     cycles, missing = swung_cycles(record(list(range(50, 90)), 60), 20)
     assert cycles["tick"].tolist() == list(range(60, 80))
     assert not missing.any()
-
-
-def test_swung_cycles_missing_tick_keeps_row() -> None:
-    ticks = [t for t in range(50, 90) if t not in (65, 66)]
-    cycles, missing = swung_cycles(record(ticks, 60), 20)
+    cycles, missing = swung_cycles(record([t for t in range(50, 90) if t not in (65, 66)], 60), 20)
     assert np.flatnonzero(missing).tolist() == [5, 6]
     assert np.isnan(cycles["angle"][[5, 6]]).all()
     assert cycles["angle"][7, 0] == 67
