@@ -63,11 +63,9 @@ class MeasuredSwing:
     club_top_row: int | None
     """Row in which the shaft reverses."""
     top_clue: str
-    """Clue of the top."""
     impact_time: float
     """Impact in the time of the file (s)."""
     impact_clue: str
-    """Clue of the impact."""
     plane: float
     """Inclination of the swing plane (rad)."""
     orientation: Orientation
@@ -79,9 +77,7 @@ class MeasuredSwing:
     rate: float = 0.0
     """Frame rate of the file (Hz)."""
     frames: int = 0
-    """Frames of the file."""
     options: ImportOptions = field(default_factory=ImportOptions)
-    """Options of the import."""
 
     @property
     def has_club(self) -> bool:

@@ -360,20 +360,16 @@ def measure(capture: Capture, roles: Roles, options: ImportOptions) -> MeasuredS
     gates.no_jump()
     gates.no_loss()
     gates.constant_lengths()
-    grid = _Grid(capture, impact, options.cutoff)
+    grid = _Grid(capture, impact, options)
     paths = {role: grid.path(role, filled(path, capture.rate), raw) for role, path in raw.items()}
     orientation = Orientation(unit, scale, up_words, *sides)
-    swing = _in_plane(capture, paths, grid, vertical, orientation, options, raw)
+    swing = _in_plane(grid, paths, vertical, orientation, raw)
     gates.golf_swing(swing)
     return swing
 
 
 def _impact(capture: Capture, roles: Roles, whole: dict[str, Array], options: ImportOptions) -> Impact:
-    """Return the impact by the events of `options` or by the clues.
-
-    Raises:
-        BenchError: the file has no impact.
-    """
+    """Return the impact by the events of `options` or by the clues; BenchError where the file has none."""
     if options.impact is not None:
         frame = (options.impact - capture.start) * capture.rate
         if not 12 <= frame <= len(capture.points) - 1:
@@ -393,8 +389,8 @@ def _impact(capture: Capture, roles: Roles, whole: dict[str, Array], options: Im
 class _Grid:
     """Rows of 1 ms up to the ball, and the paths on them."""
 
-    def __init__(self, capture: Capture, impact: Impact, cutoff: tuple[float, float]) -> None:
-        self.rate, self.cutoff, self.impact = capture.rate, cutoff, impact
+    def __init__(self, capture: Capture, impact: Impact, options: ImportOptions) -> None:
+        self.capture, self.rate, self.impact, self.options = capture, capture.rate, impact, options
         self.first = max(int(np.ceil(impact.frame - _MAX_LENGTH * self.rate)), 0)
         self.last = int(np.ceil(impact.frame - _CLEAR * self.rate)) - 1
         rows = int((impact.frame - self.first) / self.rate / STEP)
@@ -404,7 +400,7 @@ class _Grid:
     def path(self, role: str, whole: Array, raw: dict[str, Array]) -> Array:
         """Return the smoothed path (n, 3) of `role` at the rows, and store its velocity."""
         part = slice(self.first, self.last + 1)
-        body, club = self.cutoff
+        body, club = self.options.cutoff
         is_body = role.endswith(("shoulder", "arm", "hip"))
         centre = None
         if not is_body:
@@ -421,16 +417,10 @@ class _Grid:
 
 
 def _in_plane(
-    capture: Capture,
-    paths: dict[str, Array],
-    grid: _Grid,
-    vertical: Array,
-    orientation: Orientation,
-    options: ImportOptions,
-    raw: dict[str, Array],
+    grid: _Grid, paths: dict[str, Array], vertical: Array, orientation: Orientation, raw: dict[str, Array]
 ) -> MeasuredSwing:
     """Return the swing as seen in its plane."""
-    has_club = "head" in paths
+    has_club, capture = "head" in paths, grid.capture
     far, near = ("head", "grip") if has_club else ("lead_wrist", "lead_shoulder")
     level = min(last_level_row(paths[near], paths[far], vertical), len(grid.time) - 20)
     plane = fitted_plane(paths[far][max(level, 0) :], vertical)
@@ -441,7 +431,7 @@ def _in_plane(
     speed: dict[str, Array] = {
         role: np.linalg.norm(grid.velocity[role], axis=1) for role in ("lead_wrist", "head") if role in paths
     }
-    top, clue = _top(capture, grid, speed["lead_wrist"], options)
+    top, clue = _top(grid, speed["lead_wrist"])
     club_top = None
     if has_club:
         club_top = find_top(grid.time, np.abs(np.gradient(turned[2])), longest=-float(grid.time[top]) + 0.10)
@@ -474,23 +464,20 @@ def _in_plane(
         not_measured=tuple(missing),
         rate=capture.rate,
         frames=len(capture.points),
-        options=options,
+        options=grid.options,
     )
 
 
-def _top(capture: Capture, grid: _Grid, hands: Array, options: ImportOptions) -> tuple[int, str]:
-    """Return row and clue of the top.
-
-    Raises:
-        BenchError: the hands never slow down before impact.
-    """
-    if options.top is not None:
-        before = options.top - capture.start - grid.impact.frame / capture.rate
+def _top(grid: _Grid, hands: Array) -> tuple[int, str]:
+    """Return row and clue of the top; BenchError where the `hands` (m/s) never slow down before impact."""
+    capture, given = grid.capture, grid.options.top
+    if given is not None:
+        before = given - capture.start - grid.impact.frame / capture.rate
         row = (before - grid.time[0]) / STEP
         if not 0.5 < row < len(grid.time) - 50.5:
             wanted = "a time before the ball, within the file"
             action = "Correct it to the time of the top of the backswing."
-            raise BenchError("--events top", f"{options.top:g} s", wanted, action)
+            raise BenchError("--events top", f"{given:g} s", wanted, action)
         return round(row), GIVEN
     if (slowest := find_top(grid.time, hands)) is None:
         found = "no swing: the hands do not slow down before the ball"

@@ -27,7 +27,6 @@ class Capture:
     """Marker positions over time in the unit and axes of the file."""
 
     names: tuple[str, ...]
-    """Names of the markers."""
     points: Array
     """Positions (frames, markers, 3), NaN where a marker is missing."""
     rate: float
@@ -127,20 +126,14 @@ def find_roles(capture: Capture, map_path: Path | None = None) -> Roles:
             raise capture.error(found, "different names", action, marker=name)
     path, markers, dropped = {}, {}, list[str]()
     for role, names in chosen.items():
-        kept = _kept(capture, names)
+        lost = np.isnan(capture.points[:, [capture.names.index(name) for name in names], 0]).mean(axis=0)
+        # Those present in most frames, else the one present longest.
+        kept = tuple(name for name, share in zip(names, lost, strict=True) if share <= _MAX_MISSING)
+        kept = kept or (names[int(np.argmin(lost))],)
         dropped += [name for name in names if name not in kept]
         columns = [capture.names.index(name) for name in kept]
         path[role], markers[role] = np.mean(capture.points[:, columns], axis=1), kept
     return Roles(path, markers, tuple(dict.fromkeys(dropped)), by_side)
-
-
-def _kept(capture: Capture, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the markers among `names` that are present in most frames, else the one present longest."""
-    missing = {
-        name: float(np.mean(np.isnan(capture.points[:, capture.names.index(name), 0]))) for name in names
-    }
-    kept = tuple(name for name in names if missing[name] <= _MAX_MISSING)
-    return kept or (min(missing, key=lambda name: missing[name]),)
 
 
 def _listed(capture: Capture) -> str:
@@ -313,11 +306,10 @@ def _sizes(roles: Roles) -> tuple[float, float]:
         apart = np.linalg.norm(roles.path[a] - roles.path[b], axis=1)
         return float(np.nanpercentile(apart, 75)) if np.isfinite(apart).any() else float("nan")
 
-    first, second = ("left", "right") if roles.by_side else ("lead", "trail")
-    arms = [
-        long(f"{side}_shoulder", f"{side}_wrist") for side in (first, second) if f"{side}_wrist" in roles.path
-    ]
-    return max(arms), long(f"{first}_shoulder", f"{second}_shoulder")
+    sides = ("left", "right") if roles.by_side else ("lead", "trail")
+    with_wrist = [side for side in sides if f"{side}_wrist" in roles.path]
+    arm = max(long(f"{side}_shoulder", f"{side}_wrist") for side in with_wrist)
+    return arm, long(*(f"{side}_shoulder" for side in sides))
 
 
 def _arm_markers(roles: Roles) -> str:
