@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.csv as pc
 from scipy.io import savemat
 
@@ -77,15 +76,6 @@ def write_csv(path: Path, record: SwingRecord) -> list[Path]:
         NotStored: they cannot be stored.
     """
     table = to_arrow(record.cycles)
-    beside = path.with_name(f"{path.name}-metadata.json")
-    with atomic_file(beside) as stream:
-        stream.write(json.dumps(_metadata(path, record, table.schema), indent=1, allow_nan=False).encode())
-    with atomic_file(path) as stream:
-        pc.write_csv(table, stream, pc.WriteOptions(quoting_style="needed"))
-    return [path, beside]
-
-
-def _metadata(path: Path, record: SwingRecord, schema: pa.Schema) -> dict[str, Any]:
     described = [
         {
             "name": field.name,
@@ -93,14 +83,20 @@ def _metadata(path: Path, record: SwingRecord, schema: pa.Schema) -> dict[str, A
             "unit": field.metadata[b"unit"].decode(),
             "dc:description": field.metadata[b"description"].decode(),
         }
-        for field in schema
+        for field in table.schema
     ]
-    return {
+    metadata = {
         "@context": "http://www.w3.org/ns/csvw",
         "url": path.name,
         "tableSchema": {"columns": described, "primaryKey": "tick"},
         "golfbench": record.metadata,
     }
+    beside = path.with_name(f"{path.name}-metadata.json")
+    with atomic_file(beside) as stream:
+        stream.write(json.dumps(metadata, indent=1, allow_nan=False).encode())
+    with atomic_file(path) as stream:
+        pc.write_csv(table, stream, pc.WriteOptions(quoting_style="needed"))
+    return [path, beside]
 
 
 def write_mat(path: Path, record: SwingRecord) -> list[Path]:
@@ -109,16 +105,12 @@ def write_mat(path: Path, record: SwingRecord) -> list[Path]:
     Raises:
         NotStored: it cannot be stored.
     """
-    count = len(record.cycles)
+    cycles = record.cycles
     variables = {
-        "cycles": {
-            field.name: record.cycles[field.name].reshape(count, len(field.columns)) for field in FIELDS
-        },
-        "units": {field.name: field.unit for field in FIELDS},
-        "descriptions": {field.name: field.text for field in FIELDS},
-        "components": {
-            field.name: np.array(field.components or (field.name,), dtype=object) for field in FIELDS
-        },
+        "cycles": {f.name: cycles[f.name].reshape(len(cycles), len(f.columns)) for f in FIELDS},
+        "units": {f.name: f.unit for f in FIELDS},
+        "descriptions": {f.name: f.text for f in FIELDS},
+        "components": {f.name: np.array(f.components or (f.name,), dtype=object) for f in FIELDS},
         "metadata": json.dumps(record.metadata, allow_nan=False),
     }
     with atomic_file(path) as stream:

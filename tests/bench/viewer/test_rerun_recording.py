@@ -87,16 +87,6 @@ def test_recording_swings_are_ordered_in_time(three: Recording, make_records: Re
         assert following > start + 1.1 + record.flight.total_time
 
 
-def test_recording_phase_changes_match_cycles(three: Recording, make_records: Records) -> None:
-    time, states = three.read("/signals/phase", "StateChange:state")
-    first = make_records(1)[0].cycles
-    changes = np.concatenate([[0], np.flatnonzero(np.diff(first["phase"].astype(int))) + 1])
-    assert time[: len(changes)] == pytest.approx(first["time"][changes])
-    assert [state[0] for state in states[: len(changes)]] == [
-        Phase(int(code)).name.lower().replace("_", " ") for code in first["phase"][changes]
-    ]
-
-
 def test_recording_club_follows_kinematics(
     three: Recording, make_records: Records, robot: RobotParameters
 ) -> None:
@@ -252,12 +242,3 @@ def test_recording_meshes_are_static_and_poses_move(three: Recording, plant: Pla
     for body in drawing.moving:
         time, _ = three.read(f"/scene/robot/{body.name}", "Transform3D:translation")
         assert len(time) > 100
-
-
-def test_draw_other_arm_length_changes_mesh(plant: PlantParameters) -> None:
-    longer = replace(plant, robot=replace(plant.robot, l23=0.70))
-    length = [
-        next(body for body in draw(one).moving if body.name == "left_arm").parts[0].solid
-        for one in (plant, longer)
-    ]
-    assert length[0] != length[1]

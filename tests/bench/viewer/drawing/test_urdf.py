@@ -40,6 +40,11 @@ def folder(plant: PlantParameters, tmp_path_factory: pytest.TempPathFactory) -> 
     return path
 
 
+@pytest.fixture(scope="module")
+def root(folder: Path) -> ElementTree.Element:
+    return ElementTree.parse(folder / "golfbench.urdf").getroot()  # noqa: S314 - our own
+
+
 def states(plant: PlantParameters) -> list[tuple[Array, Array, Array]]:
     """Random states of the robot and efforts, far beyond those of a swing."""
     random = np.random.default_rng(11)
@@ -67,8 +72,8 @@ def relative(found: Array, expected: Array) -> float:
 # The file --------------------------------------------------------------------------------------------
 
 
-def test_urdf_links_match_bodies_of_dynamics(plant: PlantParameters, folder: Path) -> None:
-    robot, root = plant.robot, ElementTree.parse(folder / "golfbench.urdf").getroot()  # noqa: S314 - our own
+def test_urdf_links_match_bodies_of_dynamics(plant: PlantParameters, root: ElementTree.Element) -> None:
+    robot = plant.robot
     bodies: dict[str | None, Body | Club] = {
         "shoulder_link": robot.shoulder_link,
         "left_arm": robot.left_arm,
@@ -93,8 +98,7 @@ def test_urdf_links_match_bodies_of_dynamics(plant: PlantParameters, folder: Pat
         assert moments[0] + moments[1] >= moments[2] * (1 - 1e-12)
 
 
-def test_urdf_origins_have_three_numbers_each(folder: Path) -> None:
-    root = ElementTree.parse(folder / "golfbench.urdf").getroot()  # noqa: S314 - our own
+def test_urdf_origins_have_three_numbers_each(root: ElementTree.Element) -> None:
     for origin in root.iter("origin"):
         for name in ("xyz", "rpy"):
             assert len([float(number) for number in origin.get(name, "0 0 0").split()]) == 3, name
@@ -111,9 +115,8 @@ def test_urdf_joint_limits_contain_working_range(plant: PlantParameters) -> None
             assert limits[name][0] <= value <= limits[name][1], name
 
 
-def test_urdf_outlines_match_clearance_checks(plant: PlantParameters, folder: Path) -> None:
+def test_urdf_outlines_match_clearance_checks(plant: PlantParameters, root: ElementTree.Element) -> None:
     """The club is the line to the centre of the face with a sole below, the frame a disc round R1."""
-    root = ElementTree.parse(folder / "golfbench.urdf").getroot()  # noqa: S314 - our own
     outlines = {
         link.get("name"): [(shape.tag, shape.attrib) for shape in link.iterfind("collision/geometry/*")]
         for link in root.iter("link")
