@@ -218,9 +218,6 @@ class ShootingTrial(NamedTuple):
 
     contact: int
     """Tick in which the head passes the ball; the number of valve commands if it does not."""
-    struck: bool
-    head: Array
-    """x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s) there."""
     angle: Array
     """(contact, 3) rad at the start of each tick."""
     speed: Array
@@ -347,16 +344,11 @@ class Shooter:
         hit = states[last : last + 1].copy()
         hit["ball_present"] = contact < len(valve)
         hold_command(*self.plant.records, hit, command, 2)
-        head = self._at_ball(hit, states, last)
+        struck = bool(hit["struck"][0])
+        head = np.array(hit["impact_head"][0]) if struck else _passing(*states[last : last + 2], self.plant)
         site = self.plant.parameters.site
         error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, self.plant.impact)
         return Arrival(head, float(error))
-
-    def _at_ball(self, hit: NDArray[Any], states: NDArray[Any], last: int) -> Array:
-        """Return the head where it strikes the ball of `hit`, else passes its place."""
-        if hit["struck"][0]:
-            return np.array(hit["impact_head"][0])
-        return _passing(states[last], states[last + 1], self.plant)
 
     def shoot(self, valve: Array) -> ShootingTrial:
         """Apply the commands `valve` (n, 3); continue with each: struck, missed, communication lost."""
@@ -380,8 +372,6 @@ class Shooter:
 
         return ShootingTrial(
             contact,
-            bool(hit["struck"][0]),
-            self._at_ball(hit, states, last),
             np.array(states["angle"][: last + 1]),
             np.array(states["speed"][: last + 1]),
             np.array(hit["stop_energy"][0]),

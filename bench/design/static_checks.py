@@ -157,10 +157,8 @@ def _machine(plan: MachineSwing) -> Check:
     club, supply = plant.robot.club.name, plant.supply.pressure
     designed = profile.limits.get("supply_pressure_pa", 0.0)
     if profile.club != club:
-        action = (
-            "Set swing.profile to one for this club (golfbench profile list), or swing.club = "
-            f'"{profile.club}".'
-        )
+        action = "Set swing.profile to one for this club (golfbench profile list), or swing.club = "
+        action += f'"{profile.club}".'
         faults.append(plan.key("club", f'"{profile.club}"', f'"{club}", the mounted one', action))
     if abs(designed - supply) > PRESSURE_TOLERANCE * supply:
         found = f"{designed:.4g} Pa" if designed else "not given"
@@ -321,9 +319,8 @@ def _clearance(plan: MachineSwing) -> Check:
         found, wanted = f"club {distance[j]:.3f} m from R1", f"at least {envelope.min_frame_distance:g} m"
         faults.append(plan.row(("angle_rad", j, None), found, wanted, "Keep the club off the frame."))
     found = f"ground {1e3 * height[k]:.0f} mm · frame {1e3 * distance[j]:.0f} mm"
-    return Check(
-        "clearance", found, f"{1e3 * needed[k]:g} · {1e3 * envelope.min_frame_distance:g} mm", faults
-    )
+    allowed = f"{1e3 * needed[k]:g} · {1e3 * envelope.min_frame_distance:g} mm"
+    return Check("clearance", found, allowed, faults)
 
 
 def _lever(plan: MachineSwing) -> Check:
@@ -342,10 +339,8 @@ def _valves(plan: MachineSwing) -> Check:
     opening, limit, faults = np.abs(plan.profile.valve), plan.envelope.max_opening, []
     k, joint = _peak(opening)
     if opening[k, joint] > limit:
-        wanted = f"at most {limit:g}, envelope.max_opening"
-        faults.append(
-            plan.row(("valve", k, joint), f"{opening[k, joint]:.3g}", wanted, "Reduce the opening.")
-        )
+        found, wanted = f"{opening[k, joint]:.3g}", f"at most {limit:g}, envelope.max_opening"
+        faults.append(plan.row(("valve", k, joint), found, wanted, "Reduce the opening."))
     return Check("valve openings", f"{opening.max():.2f}", f"at most {limit:g}", faults)
 
 
@@ -388,10 +383,9 @@ def _air(plan: MachineSwing) -> Check:
             side = int(need[k, i] > bounds[k, i, 1])
             at = f"{plan.motion.speed[k, i]:.2f} {_SPEED[i]}"
             found = f"{need[k, i]:.0f} {_FORCE[i]} of air needed at {at}"
-            wanted = (
-                f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, the limit of "
-                f"{actuator.valve.conductance:g} m3/(s Pa) of the valve at {plant.supply.pressure:g} Pa"
-            )
+            limit = f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, the limit of"
+            valve = f"{actuator.valve.conductance:g} m3/(s Pa) of the valve"
+            wanted = f"{limit} {valve} at {plant.supply.pressure:g} Pa"
             action = f"Slow the swing, or fit a larger valve or actuator: plant.{ACTUATOR_KEYS[i]}."
             faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, action))
         lever = plant.wrist_lever if i == 2 else 1.0
@@ -474,17 +468,9 @@ def _extreme_pressures(
 ) -> tuple[Array, Array]:
     """Return the lowest and highest pressure (n,) Pa a chamber of `volume` (n,) m3 can have."""
     low, high = np.full(len(volume), supply.atmosphere), np.full(len(volume), supply.pressure)
-    _fill_and_empty(
-        np.maximum(volume, 0.2 * actuator.dead_volume),
-        period,
-        actuator.valve.conductance + actuator.cross_leakage,
-        actuator.valve.critical_ratio,
-        supply.pressure,
-        supply.atmosphere,
-        supply.polytropic_exponent,
-        low,
-        high,
-    )
+    passage = actuator.valve.conductance + actuator.cross_leakage, actuator.valve.critical_ratio
+    air = supply.pressure, supply.atmosphere, supply.polytropic_exponent
+    _fill_and_empty(np.maximum(volume, 0.2 * actuator.dead_volume), period, *passage, *air, low, high)
     return low, np.minimum(high, actuator.pressure_rating)
 
 

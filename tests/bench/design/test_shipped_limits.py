@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from bench.base.lifecycle import Cause
-from bench.config import load_configuration, shipped_configuration
 from bench.config.settings import Configuration
 from bench.control.residual_thresholds import ENDING
 from bench.control.settings import build_controller
@@ -18,23 +16,13 @@ from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
-from tests.bench.design.bag_demands import DEMANDS
+from tests.bench.design.shipped_demands import designed_for
 from tests.compiled_only import needs_speed
 
-HIGH_SPEED = {"driver-115mph", "driver-130mph", "driver-130mph-level", "rules-120mph", "rules-125mph"}
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
 ACTION = (
     "make them again: golfbench --config CONFIGURATION profile limits PROFILE [--club CLUB] --output FILE"
 )
-
-
-def designed_for(name: str) -> Configuration:
-    """Return the configuration that the profile `name` was designed for."""
-    variant = "bag" if name in DEMANDS else "high_speed" if name in HIGH_SPEED else ""
-    variant = "golfers" if name.endswith("-full") else variant
-    if variant:
-        return load_configuration(Path(variant)).with_club(load_profile(find_profile(name)).club)
-    return load_configuration(shipped_configuration())
 
 
 def watched(name: str) -> Configuration:
