@@ -345,7 +345,8 @@ class Shooter:
         hit["ball_present"] = contact < len(valve)
         hold_command(*self.plant.records, hit, command, 2)
         struck = bool(hit["struck"][0])
-        head = np.array(hit["impact_head"][0]) if struck else _passing(*states[last : last + 2], self.plant)
+        before, after = states[last], states[last + 1]
+        head = np.array(hit["impact_head"][0]) if struck else _passing(before, after, self.plant)
         site = self.plant.parameters.site
         error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, self.plant.impact)
         return Arrival(head, float(error))

@@ -351,7 +351,7 @@ def _check_keys(path: Path, raw: dict[str, Any], *, beside: bool) -> None:
         wanted = f"{SCHEMA!r}, or {SCHEMA_WITH_TABLES!r} with tables in the file"
         raise BenchError(f"{path}: schema", repr(raw["schema"]), wanted, _ACTION)
     for key in _GROUPS:
-        values = raw[key].values() if isinstance(raw[key], dict) else [None]
+        values: list[Any] = list(raw[key].values()) if isinstance(raw[key], dict) else [None]
         if not all(type(value) in {int, float} and abs(value) <= MAX_FINITE for value in values):
             raise BenchError(f"{path}: {key}", repr(raw[key]), "a table of finite numbers", _ACTION)
 

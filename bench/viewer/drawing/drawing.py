@@ -246,8 +246,8 @@ def left_arm(plant: PlantParameters) -> DrawnBody:
     bores = (Bore(-middle, 0.0, PIN), Bore(plant.robot.l23 - middle, 0.0, PIN))
     plate_at, cylinder_at = actuator_places(plant)
     half = _cylinder_length(plant) / 2
-    ends = [(cylinder_at + side * half, 0.0, at.yoke) for side in (-1.0, 1.0)]
-    cylinder = Tube(*ends, bore_radius(plant.wrist) + WALL, rod_radius(plant.wrist))
+    start, end = ((cylinder_at + side * half, 0.0, at.yoke) for side in (-1.0, 1.0))
+    cylinder = Tube(start, end, bore_radius(plant.wrist) + WALL, rod_radius(plant.wrist))
     plate = Bar(PLATE, (plate_at, 0.0, at.arm_front + PLATE_HEIGHT / 2))
     parts = (
         Part("arm", Bar(size, (middle, 0.0, at.arm), bores=bores), ALUMINIUM),
