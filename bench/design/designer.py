@@ -345,10 +345,8 @@ def design_downswing(
     Raises:
         DesignFailed: no plan that the plant can follow within the ratings of its absorbers.
     """
-    parameters = bench.plant
-    state = _model_state(begun)
-    problem = _problem(parameters, demand, bench.envelope, state)
-    shooter = _shooter(bench, begun)
+    parameters, shooter = bench.plant, _shooter(bench, begun)
+    problem = _problem(parameters, demand, bench.envelope, _model_state(begun))
     time, guess = _initial_guess(parameters, problem, demand, start, progress)
     best: tuple[tuple[float, float], Downswing] | None = None
     tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
@@ -366,9 +364,8 @@ def design_downswing(
             problem = _with_cushions(problem, (brought + np.array(problem.cushions)) / 2)
             continue
         time, guess = float(plan.time[-1]), plan.state
-        # The arrival to be reached: the plan's, at the demanded strike point.
         head = head_motion(parameters.robot.record[0], *plan.state[-1, :6])
-        wanted = np.array([demand.strike, *head[2:6]])
+        wanted = np.array([demand.strike, *head[2:6]])  # as planned, at the demanded strike point
         try:
             pid = pid_record(bench.control, bench.estimator, parameters)
             played = _openings(plan, shooter, pid, 1.0 - demand.margin)
@@ -522,7 +519,7 @@ def _with_figures(
     demand: SwingDemand,
     trial: ShootingTrial,
 ) -> Profile:
-    """Return `profile` with what was `delivered` in closed loop and the limits it was made for."""
+    """Return `profile` with the delivery in closed loop, `delivered`, and the limits it was made for."""
     error, lean, *velocity = delivered[:4]
     speed, slope, lie = float(np.hypot(*velocity)), atan2(velocity[1], velocity[0]), parameters.robot.lie
     return replace(

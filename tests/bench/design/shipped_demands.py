@@ -57,7 +57,7 @@ DEMANDS = {
     "pitching-72mph": Demand(32.2, -3.2, "bag"),
     "wedge56-55yd": Demand(26.75, -4.5, "bag"),
 }
-"""By profile: of the driver on its tee, of the bag on turf or on a low tee (the LPGA Tour's averages)."""
+"""By profile; the driver's on its tee, the bag's on turf or on a low tee (averages of the LPGA Tour)."""
 
 
 def designed_for(name: str) -> Configuration:

@@ -1,4 +1,4 @@
-"""The downswing of the thesis' own swing, Appendix B: what it demands of actuators and club."""
+"""The downswing of the thesis, Appendix B: its demands on actuators and club."""
 
 from __future__ import annotations
 
