@@ -149,7 +149,7 @@ def followed_golfer(golfer: GolferSwing, row: MotionDeviation) -> FollowedGolfer
     }
 
 
-def deviation_texts(shares: Sequence[float], errors: Sequence[float]) -> list[str]:
+def deviation_texts(shares: Sequence[float] | Array, errors: Sequence[float] | Array) -> list[str]:
     """Return the deviations of shoulder, arm, wrist (errors in rad) and head (m): per cent with ° and mm."""
     sizes = [f"{degrees(error):.1f}°" for error in errors[:3]] + [f"{1e3 * errors[3]:.0f} mm"]
     pairs = zip(shares, sizes, strict=True)
