@@ -83,9 +83,8 @@ class CampaignStore:
         try:
             self._execute(insert(CAMPAIGNS).values(values))
         except IntegrityError:
-            raise Refused(
-                f"campaign {entry.id}", "the id exists already", "a new id", "Start it again in a second."
-            ) from None
+            location, action = f"campaign {entry.id}", "Start it again in a second."
+            raise Refused(location, "the id exists already", "a new id", action) from None
 
     def entry(self, campaign: str) -> CampaignEntry:
         """Return a campaign's entry.
@@ -203,12 +202,8 @@ class CampaignStore:
         last = self.last_shot(campaign)
         if not 1 <= note.shot <= last:
             expected = f"a shot from 1 to {last}" if last else "a shot, once there is one"
-            raise Refused(
-                f"campaign {campaign}",
-                f"no shot {note.shot}",
-                expected,
-                "Give --shot with a number of this campaign.",
-            )
+            action = "Give --shot with a number of this campaign."
+            raise Refused(f"campaign {campaign}", f"no shot {note.shot}", expected, action)
         self._execute(insert(NOTES).values(campaign=campaign, **note._asdict()))
 
     def notes(self, campaign: str) -> list[ShotNote]:
@@ -226,10 +221,6 @@ class CampaignStore:
     def prompts(self, campaign: str) -> list[Prompt]:
         """Return its prompts in order; at most the last one is not answered."""
         return self._rows(PROMPTS, Prompt, campaign, "number")
-
-    def prompt(self, campaign: str, number: int) -> Prompt:
-        """Return one of its prompts."""
-        return next(prompt for prompt in self.prompts(campaign) if prompt.number == number)
 
     def ask(self, campaign: str, prompt: Prompt) -> None:
         """Add a prompt."""

@@ -338,12 +338,8 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         arguments = {"timeout": BUSY_TIMEOUT} if is_sqlite else {}
         engine = create_engine(url, connect_args=arguments, pool_pre_ping=not is_sqlite)
     except ModuleNotFoundError as error:
-        raise BenchError(
-            location,
-            f"package {error.name} is not installed",
-            "the database's driver",
-            f"Run pip install {error.name}.",
-        ) from error
+        found, action = f"package {error.name} is not installed", f"Run pip install {error.name}."
+        raise BenchError(location, found, "the database's driver", action) from error
     if is_sqlite:
         event.listen(engine, "connect", _prepare_reading if read_only else _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
@@ -438,9 +434,8 @@ def _has_tables(connection: Connection, location: str) -> bool:
         return False
     if SCHEMA.name not in tables:
         found = f"tables {', '.join(sorted(tables)[:5])}, but no {SCHEMA.name}"
-        raise BenchError(
-            location, found, "a database of golfbench, or an empty one", "Set bench.database to another one."
-        )
+        expected = "a database of golfbench, or an empty one"
+        raise BenchError(location, found, expected, "Set bench.database to another one.")
     version = connection.scalar(select(func.max(SCHEMA.c.version)))
     if version != SCHEMA_VERSION:
         action = "Use the version of golfbench that wrote it, or name another database: bench.database."

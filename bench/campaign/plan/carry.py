@@ -17,7 +17,7 @@ from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import flight_columns
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Ball
-from sim.flight import Flight, fly
+from sim.flight import Flight
 
 Measured = Mapping[str, AerodynamicsEntry]
 
@@ -69,13 +69,11 @@ def carry_columns(
     """
     entry, error, outside = measured.get(ball), None, ""
     try:
-        flights: dict[str, Flight | None] = {"reference": _flown(launch, around, REFERENCE_BALL)}
-        flights["simulated"] = None if simulated is None else _flown(launch, around, simulated)
+        flights: dict[str, Flight | None] = {"reference": around.fly(launch, REFERENCE_BALL)}
+        flights["simulated"] = None if simulated is None else around.fly(launch, simulated)
         if entry is not None and not (outside := entry.values.outside(launch)):
             v = entry.values
-            flights["measured"] = fly(
-                launch, around.air, v.as_flown, around.wind, around.turf, v.aerodynamics
-            )
+            flights["measured"] = around.fly(launch, v.as_flown, v.aerodynamics)
             error = v.carry_error(launch, around.air, around.wind, around.turf)
     except ValueError as fault:
         return {}, f"no flight: {fault}"
@@ -103,7 +101,3 @@ _NONE = {
     "monitor": "the launch monitor reported none",
     "measured": "the aerodynamics of the ball were not measured",
 }
-
-
-def _flown(launch: Launch, around: FlightConditions, ball: Ball) -> Flight:
-    return fly(launch, around.air, ball, around.wind, around.turf)

@@ -9,7 +9,7 @@ uncertainty holds 95.45 % with Student's factor at the effective degrees of free
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from math import inf, pi, radians, sqrt
 from typing import Any
 
@@ -88,36 +88,34 @@ def uncertainty_budgets(
             for column in BUDGETED:
                 known = [shot for shot in own if getattr(shot, column) is not None]
                 if len(known) > 1:
-                    budget = _budget(plan, known, column, calibrations, simulated=simulated)
-                    found.append(replace(budget, section=section.number, level=level))
+                    lines = [] if simulated else list(_type_b(plan, known, column, calibrations))
+                    found.append(_budget(plan, section.number, level, column, known, lines))
     return tuple(found)
 
 
 def _budget(
     plan: CampaignPlan,
-    shots: Sequence[Shot],
+    section: int,
+    level: str,
     column: str,
-    calibrations: Mapping[str, Any],
-    *,
-    simulated: bool,
+    shots: Sequence[Shot],
+    found: Sequence[BudgetLine | str],
 ) -> UncertaintyBudget:
+    """Return the budget of a level's `shots`; `found` is what `_type_b` found."""
     values = np.array([getattr(shot, column) for shot in shots], dtype=float)
     codes = np.unique(independent_codes(plan, shots), return_inverse=True)[1]
     error, dof = mean_error(values, codes)
     a = BudgetLine("scatter of the series", "A", f"{len(shots)} valid shots", column, error, 1.0, error, dof)
-    lines, missing = [a], ""
-    if not simulated:
-        found = list(_type_b(plan, shots, column, calibrations))
-        lines += [line for line in found if isinstance(line, BudgetLine)]
-        missing = ", ".join(dict.fromkeys(word for word in found if isinstance(word, str)))
+    lines = [a, *(line for line in found if isinstance(line, BudgetLine))]
+    missing = ", ".join(dict.fromkeys(word for word in found if isinstance(word, str)))
     type_b = sqrt(sum(line.contribution**2 for line in lines if line.kind == "B"))
     combined = sqrt(error**2 + type_b**2)
     spread = sum(line.contribution**4 / line.dof for line in lines if line.contribution)
     effective = combined**4 / spread if spread else inf
     coverage = float(stats.t.ppf((1 + COVERAGE) / 2, effective))
     return UncertaintyBudget(
-        0,
-        "",
+        section,
+        level,
         column,
         len(shots),
         float(values.mean()),
@@ -160,17 +158,11 @@ def _by_encoders(shots: Sequence[Shot], calibrations: Mapping[str, Any]) -> Iter
     """Yield what club speed by encoders and model owes the bench's own calibrations."""
     bench = calibrations.get("bench", {})
     arms = {(shot.swing, shot.club) for shot in shots}
+    mounts = [("club", club) for club in sorted({club for _, club in arms})]
     slopes = [one for one in bench.get("club_speed", ()) if (one["swing"], one["club"]) in arms]
     entries = {(one["kind"], one["subject"]): one for one in bench.get("in_force", ())}
-    clubs = sorted({club for _, club in arms})
     for name, unit, slope, key, places in (
-        (
-            "length of the club",
-            "length_m",
-            "length",
-            "length_uncertainty",
-            [("club", club) for club in clubs],
-        ),
+        ("length of the club", "length_m", "length", "length_uncertainty", mounts),
         ("zeros of the encoders", "angle_rad", "zeros", "uncertainty", [("encoders", "")]),
     ):
         known = [entries[place] for place in places if place in entries]

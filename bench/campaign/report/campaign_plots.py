@@ -71,8 +71,9 @@ def campaign_figures(
         return {"overview": overview, "sections": drawn, "delivery": _delivery(shots, units)}
 
 
-def _picture(figure: Figure, name: str, label: str, *captions: str) -> Picture:
-    return Picture(to_svg(figure, name), label, " ".join(filter(None, captions)))
+def _picture(figure: Figure, name: str, label: str, captions: Mapping[str, object]) -> Picture:
+    """Return the picture with those `captions` whose value is true."""
+    return Picture(to_svg(figure, name), label, " ".join(text for text, told in captions.items() if told))
 
 
 def _panels(height: float, count: int, width: int, *, shared: bool = False) -> tuple[Figure, list[Axes]]:
@@ -127,11 +128,8 @@ _COLUMNS = 5
 """Panels side by side."""
 _PANELS = 3
 """Panels of differences side by side."""
-_PAIRED = (
-    {"ball_speed_mps": "ball speed", "carry_m": "carry"},
-    {"launch_angle_deg": "launch angle", "spin_rpm": "spin"},
-)
-"""Columns of shots that are drawn against each other, across and up, and their names."""
+_PAIRED = (("ball_speed_mps", "carry_m"), ("launch_angle_deg", "spin_rpm"))
+"""Columns of shots that are drawn against each other, across and up."""
 
 
 def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
@@ -167,40 +165,35 @@ def _dispersion(
         for axes, columns in zip(panels[1:], _PAIRED, strict=True):
             _draw_pairs(axes, _by_level(plan, shots), columns, units, many)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
-    return _picture(
-        figure,
-        name,
-        "Landing points from above"
-        + (", carry against ball speed, and spin against launch angle." if alone else "."),
-        "Dashed: target line.",
-        "Filled: valid shots; open: not valid."
-        if any(len(others) for one in landings for _, _, others in one.levels)
-        else "",
-        "Ellipse: holds 95 % of a normal scatter with the mean and covariance seen."
-        if any(one.section.dispersion for one in landings)
-        else "",
-    )
+    pairs = ", carry against ball speed, and spin against launch angle" if alone else ""
+    captions = {
+        "Dashed: target line.": True,
+        "Filled: valid shots; open: not valid.": any(
+            len(others) for one in landings for _, _, others in one.levels
+        ),
+        "Ellipse: holds 95 % of a normal scatter with the mean and covariance seen.": any(
+            one.section.dispersion for one in landings
+        ),
+    }
+    return _picture(figure, name, f"Landing points from above{pairs}.", captions)
 
 
 def _draw_pairs(
     axes: Axes,
     by_level: Sequence[tuple[str, Sequence[Shot]]],
-    columns: Mapping[str, str],
+    columns: tuple[str, str],
     units: UnitSystem,
     many: bool,
 ) -> None:
-    shown = {column: display_unit(column, units) for column in columns}
+    x, y = (display_unit(column, units) for column in columns)
     for index, (_, mine) in enumerate(by_level):
         valid = [shot for shot in mine if shot.status is ShotStatus.VALID]
         rows = [row for shot in valid if None not in (row := [getattr(shot, column) for column in columns])]
-        points = np.array(rows, dtype=float).reshape(-1, len(columns)).T
-        axes.plot(
-            *(unit.of(values) for unit, values in zip(shown.values(), points, strict=True)),
-            **_look(index, many),
-        )
-    (across, x_unit), (up, y_unit) = ((columns[column], unit.unit) for column, unit in shown.items())
+        points = np.array(rows, dtype=float).reshape(-1, 2).T
+        axes.plot(x.of(points[0]), y.of(points[1]), **_look(index, many))
+    across, up = (NAMES[column] for column in columns)
     axes.set(title=f"{up} against {across}".capitalize())
-    axes.set(xlabel=f"{across}, {x_unit}", ylabel=f"{up}, {y_unit}")
+    axes.set(xlabel=f"{across}, {x.unit}", ylabel=f"{up}, {y.unit}")
 
 
 def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: bool) -> None:
@@ -249,16 +242,13 @@ def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Pi
         axes.set_title(column.name or f"Difference to {table.reference} in {name}, {unit.unit}")
     if table.across:
         figure.supxlabel(f"difference to {table.reference} in {name}, {unit.unit}", fontsize=8)
-    return _picture(
-        figure,
-        "overview",
-        f"Differences of all {table.factor}s to {table.reference} with their intervals.",
-        f"Difference to {table.reference} with its interval, all pairs of a panel simultaneously.",
-        "Filled: declared different; open: not.",
-        "Grey band: the margin within which they count as the same."
-        if plan.analysis.equivalence_margin
-        else "",
-    )
+    label = f"Differences of all {table.factor}s to {table.reference} with their intervals."
+    captions = {
+        f"Difference to {table.reference} with its interval, all pairs of a panel simultaneously.": True,
+        "Filled: declared different; open: not.": True,
+        "Grey band: the margin within which they count as the same.": plan.analysis.equivalence_margin,
+    }
+    return _picture(figure, "overview", label, captions)
 
 
 def _from_above(axes: Axes, points: Array) -> None:
@@ -295,7 +285,8 @@ def _each(landing: Landing, units: UnitSystem, picture: str) -> Picture:
     figure.supylabel(f"carry, {distance.unit}", fontsize=7.5)
     area = ", with the area of its ellipse" if ellipses else ""
     caption = f"Each level before all others (grey){area}. The dashed line is the target line."
-    return _picture(figure, picture, "Landing points of each level before those of all others.", caption)
+    label = "Landing points of each level before those of all others."
+    return _picture(figure, picture, label, {caption: True})
 
 
 def _levels(
@@ -336,14 +327,10 @@ def _levels(
     club.set(title="Club speed delivered", xlabel=fast.unit)
     for axes, ticks in ((result, 6), (scatter, 4), (club, 4)):
         axes.xaxis.set_major_locator(MaxNLocator(ticks))
-    bars = any(one.spread.n > 1 for one in analysis.levels)
-    return _picture(
-        figure,
-        picture,
-        "Each level's shots, its standard deviation, and the club speed delivered.",
-        "Every valid shot.",
-        "Bars: mean and standard deviation of one shot, each with its interval." if bars else "",
-    )
+    bars = "Bars: mean and standard deviation of one shot, each with its interval."
+    captions = {"Every valid shot.": True, bars: any(one.spread.n > 1 for one in analysis.levels)}
+    label = "Each level's shots, its standard deviation, and the club speed delivered."
+    return _picture(figure, picture, label, captions)
 
 
 def _spread_out(count: int) -> np.ndarray:
@@ -380,14 +367,12 @@ def _drift(
     axes.set(
         title=f"Drift: {name} less the level's mean, in the order played", xlabel="shot", ylabel=unit.unit
     )
-    return _picture(
-        figure,
-        picture,
-        "The compared quantity over the campaign.",
-        "Level means taken off.",
-        "Crosses: control ball." if len(values) > 1 else "",
-        "Red lines: outliers (robust z above 3.5), which stay in the analysis." if analysis.outliers else "",
-    )
+    captions = {
+        "Level means taken off.": True,
+        "Crosses: control ball.": len(values) > 1,
+        "Red lines: outliers (robust z above 3.5), which stay in the analysis.": analysis.outliers,
+    }
+    return _picture(figure, picture, "The compared quantity over the campaign.", captions)
 
 
 def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
@@ -412,7 +397,7 @@ def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
     label = "Club speed, attack angle, dynamic loft and strike point of every shot."
     every = all(shot.status is ShotStatus.VALID for shot in shots)
     caption = "Valid shots." if every else "Filled: valid shots; red and open: not valid."
-    return _picture(figure, "delivery", label, caption)
+    return _picture(figure, "delivery", label, {caption: True})
 
 
 def _control(charts: Sequence[ControlChart], units: UnitSystem, picture: str) -> Picture:
@@ -434,15 +419,11 @@ def _control(charts: Sequence[ControlChart], units: UnitSystem, picture: str) ->
         axes.set(title=f"Control ball: {NAMES[chart.column]}", ylabel=unit.unit)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     grid[-1, 0].set_xlabel("shot")
-    return _picture(
-        figure,
-        picture,
-        "Control charts of the control ball.",
-        "Values in order; lines: mean and one, two and three standard deviations by the moving range.",
-        "Ringed: the last shot of a pattern, with the number of its rule."
-        if any(chart.signals for chart in charts)
-        else "",
-    )
+    captions = {
+        "Values in order; lines: mean and one, two and three standard deviations by the moving range.": True,
+        "Ringed: the last shot of a pattern, with the number of its rule.": any(c.signals for c in charts),
+    }
+    return _picture(figure, picture, "Control charts of the control ball.", captions)
 
 
 def _mark_signals(axes: Axes, chart: ControlChart, values: Mapping[int, float]) -> None:

@@ -71,9 +71,8 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: s
             reason = f"aborted by request{f' of {by}' if by else ''}"
             store.change(campaign, state=CampaignState.ABORTED, reason=reason, requested="")
             return "aborted; it had no runner"
-        raise Refused(
-            f"campaign {campaign}", "no runner", "a running campaign", f"golfbench campaign resume {campaign}"
-        )
+        action = f"golfbench campaign resume {campaign}"
+        raise Refused(f"campaign {campaign}", "no runner", "a running campaign", action)
     store.change(campaign, requested=request, requested_by=by)
     return {
         "pause": "pauses after the current shot",
@@ -154,10 +153,7 @@ def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
     if len(found) > 1 or len(wanted) < MIN_PREFIX_LENGTH:
         shown = ", ".join(entry.id for entry in found[:5]) + ", ..." * (len(found) > 5)
         number = "1 campaign begins" if len(found) == 1 else f"{len(found)} campaigns begin"
-        raise BenchError(
-            location,
-            f"{number} so: {shown}",
-            f"an id, or enough of its beginning to fit one campaign, at least {MIN_PREFIX_LENGTH} characters",
-            f"Give the id: for the newest, {found[0].id}.",
-        )
+        expected = f"an id, or its beginning that fits one campaign, at least {MIN_PREFIX_LENGTH} characters"
+        action = f"Give the id: for the newest, {found[0].id}."
+        raise BenchError(location, f"{number} so: {shown}", expected, action)
     return found[0]

@@ -109,10 +109,8 @@ class Runner:
         self._restarts: Counter[tuple[int, int]] = Counter()
         """Restarts by section and block."""
         self._interrupted: Callable[[], bool] = lambda: False
-        self._locked_for = 0.0
-        """Time waited for the database since the last shot, s."""
-        self._locked_as = ""
-        """State of the database for which it waited."""
+        self._locked: DatabaseLocked | None = None
+        """Last wait for the database since the last shot."""
         self._pending: list[_Pending] = []
         self._hits: Counter[Hit] = Counter()
         self.taken = self.valid = 0
@@ -175,9 +173,9 @@ class Runner:
 
     def _wait_for_database(self, locked: DatabaseLocked) -> None:
         """Give up waiting for the database after some time or when interrupted."""
-        if not self._locked_for:
+        if self._locked is None:
             self._watcher.say(f"The database is {locked.state}: waiting for it.")
-        self._locked_for, self._locked_as = locked.waited, locked.state
+        self._locked = locked
         if locked.waited > _DATABASE_TIMEOUT or self._interrupted():
             self._store.waiting = None  # later accesses try once
             raise locked
@@ -298,13 +296,17 @@ class Runner:
         for kind, text in taken.events:
             self._say(kind, text)
         events, self._noted = self._noted, []
-        hits = _used(step, taken, sample)
+        arm, hits = step.trial.arm, list[Hit]()
+        if taken.cycles is not None:
+            hits += [Hit("valve", name) for name in ACTUATORS]
+        if taken.struck:
+            hits += [Hit("ball", arm.ball, sample), Hit("club", arm.club)]
         self._hits.update(hits)
         prompts, self._done_by_itself = self._done_by_itself, []
         written = writer.submit(self._written, shot, taken)
         self._pending.append(_Pending(written, hits, events, prompts, taken.original))
         self._fitting = self._fitting.after(shot)
-        self._locked_for = 0.0
+        self._locked = None
         self._note(shot)
         if self._plan.ball_handling.magazine:
             self._watcher.feeder(len(self._fitting.feeder))
@@ -320,11 +322,8 @@ class Runner:
             return False
         self._last = now
         self._commit()
-        words = (
-            f"{duration_text(gap)} without a shot"
-            if gap > 0
-            else "an unknown time without a shot (the clock went back)"
-        )
+        long = duration_text(gap) if gap > 0 else "an unknown time"
+        words = f"{long} without a shot{' (the clock went back)' * (gap <= 0)}"
         trial, warm_up = step.trial, self._plan.warm_up.at_most
         location = f"block {trial.block}" if trial.block else f"the warm-up of section {trial.section}"
         tried = [shot for shot in self._block if shot.block == trial.block]
@@ -415,7 +414,7 @@ class Runner:
         if operator:
             operator.show(prompt)
         try:
-            while not self._store.prompt(campaign, prompt.number).answered:
+            while not self._store.prompts(campaign)[-1].answered:
                 requested, _ = self._requested()
                 if requested == "abort":
                     raise _RunEnd(CampaignState.ABORTED, self._by_request("aborted"))
@@ -574,19 +573,12 @@ class Runner:
                 except DatabaseLocked:
                     self._pending = pending
                     raise
-                if self._locked_for:
-                    waited = duration_text(self._locked_for)
-                    text = f"the database was {self._locked_as} for {waited}; waited for it"
+                if self._locked is not None:
+                    waited = duration_text(self._locked.waited)
+                    text = f"the database was {self._locked.state} for {waited}; waited for it"
                     self._note_event("database", text)
-                    self._locked_for = 0.0
+                    self._locked = None
                 for one in pending[: len(shots)]:
                     if one.original is not None:
                         with suppress(OSError):  # not ours to remove: kept twice
                             one.original.unlink(missing_ok=True)
-
-
-def _used(step: Step, taken: Taken, sample: int) -> list[Hit]:
-    arm = step.trial.arm
-    valves = [Hit("valve", name) for name in ACTUATORS] if taken.cycles is not None else []
-    struck = [Hit("ball", arm.ball, sample), Hit("club", arm.club)] if taken.struck else []
-    return valves + struck

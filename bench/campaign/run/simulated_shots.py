@@ -33,7 +33,6 @@ from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
 from drivers.launch_monitor.record import LaunchRecord, Match, MatchOutcome, MatchWindow, SwingImpact, match
 from sim.ball import Ball
-from sim.flight import fly
 from sim.plant import PlantParameters
 from sim.simulated_monitor import MonitorParameters, monitor_messages
 
@@ -104,7 +103,7 @@ def reported_carry(
     """
     noise = float(np.random.default_rng((plan.design.seed, _CARRIES, number)).standard_normal())
     try:
-        carry = fly(launch, around.air, ball, around.wind, around.turf).carry
+        carry = around.fly(launch, ball).carry
     except ValueError:
         return None
     return max(0.0, carry + plan.simulation.carry * noise)

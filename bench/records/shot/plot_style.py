@@ -18,18 +18,8 @@ from matplotlib.text import Text
 from bench.base.atomic_file import atomic_file
 
 COLOURS = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#56B4E9",
-    "#E69F00",
-    "#8700F0",
-    "#691E00",
-    "#000F78",
-    "#A5D278",
-    "#783C69",
-    "#2D0F1E",
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"),
+    *("#8700F0", "#691E00", "#000F78", "#A5D278", "#783C69", "#2D0F1E"),
 )
 """Okabe and Ito's six colours, and six more: no two come closer than the closest of the six, whether seen by
 readers with or without a colour deficiency. Each ball also has its own marker."""

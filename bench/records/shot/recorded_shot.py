@@ -33,7 +33,7 @@ from bench.records.shot.strike import ball_struck, time_at_ball
 from bench.records.telemetry.record_file import read_swing
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Air, Ball
-from sim.flight import Flight, Wind, fly
+from sim.flight import Aerodynamics, Flight, Wind, fly
 from sim.ground import Turf
 from sim.impact import Delivery, delivery_from_plane, strike
 from sim.kinematics import forward_kinematics
@@ -49,6 +49,10 @@ class FlightConditions:
     air: Air = field(default_factory=Air)
     wind: Wind = field(default_factory=Wind)
     turf: Turf = field(default_factory=Turf)
+
+    def fly(self, launch: Launch, ball: Ball, model: Aerodynamics = Aerodynamics.LIBGOLF) -> Flight:
+        """Return the flight of `ball` with `launch`; raises as `sim.flight.fly`."""
+        return fly(launch, self.air, ball, self.wind, self.turf, model)
 
 
 class RecordedShot(NamedTuple):
@@ -93,7 +97,7 @@ def warm_up_shots(plant: PlantParameters, around: FlightConditions) -> None:
     forward_kinematics(robot, np.array([0.571, 4.141, 2 * pi]))
     head, motion = (0.0, -1.5, 1.5 * pi), (40.0, 0.0, 30.0)
     delivery = delivery_from_plane(head, motion, (0.0, -1.5), robot.club, robot.lie, "encoders+model")
-    fly(strike(delivery, robot.club, plant.ball), around.air, plant.ball, around.wind, around.turf)
+    around.fly(strike(delivery, robot.club, plant.ball), plant.ball)
 
 
 def plant_of(metadata: Mapping[str, Any], location: str) -> tuple[PlantParameters, FlightConditions]:
@@ -148,20 +152,14 @@ def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> F
 
     In simulation it is the plant's ball that flies; on hardware the reference ball.
     """
-    given = (
-        shot.ball_speed_mps,
-        shot.launch_angle_deg,
-        shot.direction_deg,
-        shot.spin_rpm,
-        shot.spin_axis_deg,
-    )
+    names = ("ball_speed_mps", "launch_angle_deg", "direction_deg", "spin_rpm", "spin_axis_deg")
+    given = [getattr(shot, name) for name in names]
     if shot.status is ShotStatus.FAILED or any(value is None for value in given):
         return None
     speed, angle, direction, spin, axis = (float(value or 0.0) for value in given)
     launch = Launch(speed, radians(angle), radians(direction), spin * pi / 30, radians(axis))
-    if shot.carry_source in {"", "simulated", "model"} or shot.flight_source == "simulated":
-        return _flown(launch, plant.ball, around)
-    return _flown(launch, REFERENCE_BALL, around)
+    modelled = shot.carry_source in {"", "simulated", "model"} or shot.flight_source == "simulated"
+    return _flown(launch, plant.ball if modelled else REFERENCE_BALL, around)
 
 
 def shot_of_cycles(
@@ -222,6 +220,6 @@ def delivery_in_motion(plant: PlantParameters, pose: Callable[[float], Any]) -> 
 
 def _flown(launch: Launch, ball: Ball, around: FlightConditions) -> Flight | None:
     try:
-        return fly(launch, around.air, ball, around.wind, around.turf)
+        return around.fly(launch, ball)
     except ValueError:
         return None

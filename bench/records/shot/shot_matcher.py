@@ -33,7 +33,7 @@ from drivers.launch_monitor.record import (
     owner_of,
 )
 from sim.ball import REFERENCE_BALL
-from sim.flight import Flight, fly
+from sim.flight import Flight
 from sim.plant import PlantParameters
 
 Cycles = np.ndarray[Any, Any]
@@ -281,9 +281,7 @@ class ShotMatcher:
         flight: Flight | None = None
         if launch is not None and launch.launch is not None and not launch.doubts:
             try:
-                flight = fly(
-                    launch.launch, self._around.air, REFERENCE_BALL, self._around.wind, self._around.turf
-                )
+                flight = self._around.fly(launch.launch, REFERENCE_BALL)
             except ValueError as error:
                 reason = reason or f"no flight: {error}"
         why, status = reason, ShotStatus.EXCLUDED if reason else ShotStatus.VALID

@@ -105,11 +105,8 @@ def decode_batch(message: bytes) -> Batch:
                 raise _bad("several batches", "one")
         # A copy: the caller's values must not hang on the message.
         cycles = from_arrow(pa.Table.from_batches([batch]))
-        sequence, lost, time = (
-            _whole(facts, b"sequence", 1),
-            _whole(facts, b"lost", 0),
-            float(_fact(facts, b"time")),
-        )
+        sequence, lost = _whole(facts, b"sequence", 1), _whole(facts, b"lost", 0)
+        time = float(_fact(facts, b"time"))
     except (pa.ArrowException, OSError, StopIteration, ValueError, MemoryError) as error:
         raise _bad(f"{type(error).__name__}: {error}"[:200], "an Arrow IPC stream of cycles") from error
     if not isfinite(time):

@@ -101,48 +101,28 @@ def read_swing(path: Path) -> tuple[Cycles, dict[str, Any]]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    place, wanted = str(path), "a swing's record (.parquet)"
+    other_version = "read it with the version of golfbench that wrote it"
     if path.is_dir():  # pyarrow would join its files
-        raise BenchError(str(path), "a folder", "a swing's record (.parquet)", "Name a file in this folder.")
+        raise BenchError(place, "a folder", wanted, "Name a file in this folder.")
     try:
         table = pq.read_table(path, memory_map=False)
     except FileNotFoundError as error:
-        raise BenchError(
-            str(path), "no such file", "a swing's record (.parquet)", "Correct the path of the record."
-        ) from error
+        raise BenchError(place, "no such file", wanted, "Correct the path of the record.") from error
     except (OSError, pa.ArrowException) as error:
-        raise BenchError(
-            str(path), f"unreadable: {error}", "a swing's record (Parquet)", "restore it from a copy"
-        ) from error
-    metadata = _read_metadata(path, table.schema.metadata or {})
+        raise BenchError(place, f"unreadable: {error}", wanted, "restore it from a copy") from error
+    stored = (table.schema.metadata or {}).get(METADATA_KEY)
+    if stored is None:
+        found = "a Parquet file without golfbench metadata"
+        raise BenchError(place, found, "a swing's record written by golfbench", "name a swing's file")
+    metadata: dict[str, Any] = json.loads(stored)
+    if (version := metadata.get("schema_version")) != SCHEMA_VERSION:
+        raise BenchError(place, f"schema version {version}", f"version {SCHEMA_VERSION}", other_version)
     try:
         return from_arrow(table), metadata
     except KeyError as error:
-        raise BenchError(
-            str(path),
-            f"a record without {error.args[0]}",
-            f"the columns of schema {SCHEMA_VERSION}",
-            "read it with the version of golfbench that wrote it",
-        ) from error
-
-
-def _read_metadata(path: Path, stored: Mapping[bytes, bytes]) -> dict[str, Any]:
-    """Return the metadata of a swing's file, after checking that this program understands the file."""
-    if METADATA_KEY not in stored:
-        raise BenchError(
-            str(path),
-            "a Parquet file without golfbench metadata",
-            "a swing's record written by golfbench",
-            "name a file that a swing has written",
-        )
-    metadata: dict[str, Any] = json.loads(stored[METADATA_KEY])
-    if metadata.get("schema_version") != SCHEMA_VERSION:
-        raise BenchError(
-            str(path),
-            f"schema version {metadata.get('schema_version')}",
-            f"version {SCHEMA_VERSION}",
-            "read it with the version of golfbench that wrote it",
-        )
-    return metadata
+        found, wanted = f"a record without {error.args[0]}", f"the columns of schema {SCHEMA_VERSION}"
+        raise BenchError(place, found, wanted, other_version) from error
 
 
 def record_files(places: Sequence[Path]) -> list[Path]:
@@ -158,14 +138,11 @@ def record_files(places: Sequence[Path]) -> list[Path]:
         elif location.exists():
             files.append(location)
         else:
-            expected = "a record or a folder of records"
-            action = "Correct the path of the records."
-            raise BenchError(str(location), "no such file or folder", expected, action)
+            found, expected = "no such file or folder", "a record or a folder of records"
+            raise BenchError(str(location), found, expected, "Correct the path of the records.")
     if not files:
-        place, action = (
-            ", ".join(map(str, places)) or "records",
-            "Give a folder such as data/campaigns/ID/swings.",
-        )
+        place = ", ".join(map(str, places)) or "records"
+        action = "Give a folder such as data/campaigns/ID/swings."
         raise BenchError(place, "no record (.parquet)", "at least one record", action)
     return files
 

@@ -71,16 +71,11 @@ def run_entries(run: Mapping[str, Any], profile: Profile) -> dict[str, Any]:
         BenchError: a value cannot be written as JSON, for example NaN.
     """
     try:
-        entries: dict[str, Any] = json.loads(
-            json.dumps({**run, "profile": profile_entry(profile)}, allow_nan=False)
-        )
+        text = json.dumps({**run, "profile": profile_entry(profile)}, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise BenchError(
-            "metadata of records",
-            str(error),
-            "values that JSON can hold, no NaN",
-            "Report this error with the record.",
-        ) from error
+        location, expected = "metadata of records", "values that JSON can hold, no NaN"
+        raise BenchError(location, str(error), expected, "Report this error with the record.") from error
+    entries: dict[str, Any] = json.loads(text)
     return entries
 
 
@@ -197,23 +192,17 @@ def read_profile(metadata: Mapping[str, Any], location: str) -> Profile:
         BenchError: the profile is missing or damaged; `location` is the record's path.
     """
     try:
-        inflate = zlib.decompressobj()
-        text = inflate.decompress(
-            base64.b64decode(metadata["profile"]["data"], validate=True), _MAX_PROFILE_BYTES
-        )
-        values = json.loads(text)
+        packed = base64.b64decode(metadata["profile"]["data"], validate=True)
+        values = json.loads(zlib.decompressobj().decompress(packed, _MAX_PROFILE_BYTES))
         arrays = {
             key: np.array(values[key], dtype=float) for key in ("angle", "velocity", "valve", "blind_brake")
         }
         pairs = {key: tuple(values[key]) for key in ("begins", "ball", "air")}
         return Profile(**{**values, **arrays, **pairs})
     except (KeyError, TypeError, ValueError, zlib.error) as error:
-        raise BenchError(
-            f"{location}: profile",
-            f"not readable: {error!r}",
-            "the profile's data",
-            "Replay a record that the daemon wrote, or restore it from a copy.",
-        ) from error
+        found, expected = f"not readable: {error!r}", "the profile's data"
+        action = "Replay a record that the daemon wrote, or restore it from a copy."
+        raise BenchError(f"{location}: profile", found, expected, action) from error
 
 
 def run_id(start: datetime) -> str:

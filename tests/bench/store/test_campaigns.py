@@ -100,8 +100,9 @@ def _round_trip(url: Any) -> None:
         assert store.prompts(ENTRY.id) == PROMPTS
         assert store.answer(ENTRY.id, 2, "Bob", NOW)
         assert not store.answer(ENTRY.id, 2, "Carl", NOW), "answered once"
-        assert store.prompt(ENTRY.id, 2) == PROMPTS[1]._replace(answered=NOW, by="Bob")
-        assert store.last_answered(ENTRY, "club") == (ENTRY.id, store.prompt(ENTRY.id, 2))
+        answered = PROMPTS[1]._replace(answered=NOW, by="Bob")
+        assert store.prompts(ENTRY.id) == [PROMPTS[0], answered]
+        assert store.last_answered(ENTRY, "club") == (ENTRY.id, answered)
         assert store.last_answered(ENTRY, "balls") is None
         store.add(ENTRY, _shots(3, 1), hits={Hit("ball", "tour", 3): 1})
         assert store.shots(ENTRY.id) == _shots(1, 3)
