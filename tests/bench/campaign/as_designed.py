@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.run.corrections import Arm, CampaignCorrections, Drift, Robot
+from bench.campaign.run.corrections import Arm, CampaignCorrections
 from bench.campaign.run.plan_requirements import Profiles
 from bench.campaign.run.simulated_shots import SimulatedShots
 from bench.swing.profile import Profile
-from sim.plant import PlantParameters
 
 
 class AsDesigned(CampaignCorrections):
-    """No corrections, and none learned on the way."""
+    """No corrections; plans of these campaigns learn none."""
 
     def __init__(self, profiles: Profiles) -> None:
         self._profiles = profiles
@@ -23,10 +22,6 @@ class AsDesigned(CampaignCorrections):
     def weights(self, arm: Arm) -> tuple[float, ...]:
         """Return none."""
         return ()
-
-    def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
-        """Learn nothing."""
-        return f"{self._profiles[drift.arm].name}: {drift.text}; it continues as designed"
 
 
 def arm_all(shots: SimulatedShots, plan: CampaignPlan) -> None:

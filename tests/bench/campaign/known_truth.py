@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from functools import cache
 from math import sqrt
-from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -21,17 +19,15 @@ import numpy as np
 
 from bench.campaign.plan.bench_setup import sample_for
 from bench.campaign.plan.plan import CampaignPlan, levels
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Role, block_trials, looks_after, sections
 from bench.campaign.statistics.analysis import Pair, SectionAnalysis, analyse, decide
 from bench.campaign.statistics.sample_size import predict_precision
-from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
+from tests.bench.campaign.plans import row_of, shipped_plan, with_values
 from tests.benchmarks.row import Row
 
 SEED = 20261122
 TITLE = "campaign verdicts"
-BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True)
@@ -75,7 +71,7 @@ def drawn(case: Case, difference: float, number: int) -> tuple[list[Shot], dict[
     """Return a campaign's shots, the first level `difference` above all others, and each level's truth."""
     plan, known = case.plan, case.known
     random = np.random.default_rng((SEED, crc32(case.name.encode()), number))
-    plan = replace(plan, design=replace(plan.design, seed=int(random.integers(2**31))))
+    plan = with_values(plan, design={"seed": int(random.integers(2**31))})
     names, section = levels(plan), sections(plan)[0]
     trials = [t for b in range(1, plan.design.blocks + 1) for t in block_trials(plan, section, b)]
     count, samples = len(trials), plan.ball_handling.samples
@@ -98,25 +94,10 @@ def drawn(case: Case, difference: float, number: int) -> tuple[list[Shot], dict[
         carry += known.drift * index + scale * known.sd * noise[index]
         carry += float(mounted[plan.design.clubs.index(trial.arm.club), trial.block])
         carry += known.per_speed * (speeds[index] - 43.0)
-        shots.append(
-            Shot(
-                index + 1,
-                trial.block,
-                trial.position,
-                trial.arm.club,
-                trial.arm.ball,
-                ShotStatus.VALID if valid[index] else ShotStatus.FAILED,
-                "" if valid[index] else "no ball on the tee",
-                carry_m=float(carry),
-                club_speed_mps=float(speeds[index]),
-                swing=trial.arm.swing,
-                role=str(trial.role),
-                section=trial.section,
-                sample=sample + 1,
-                attempt=plan.design.repeats + 1,
-                time_utc=BEGIN,
-            )
-        )
+        columns: dict[str, Any] = {"carry_m": float(carry), "club_speed_mps": float(speeds[index])}
+        if not valid[index]:
+            columns |= {"status": ShotStatus.FAILED, "reason": "no ball on the tee"}
+        shots.append(row_of(trial, index + 1, sample + 1, plan.design.repeats + 1, **columns))
     single = samples == 1 and not plan.split  # then the truth is that of these balls
     if case.within:
         return shots, dict.fromkeys(plan.design.balls, 0.0)
@@ -167,9 +148,7 @@ def tally(case: Case, difference: float, campaigns: int, first: int = 0, *, by_s
         pairs: tuple[Pair, ...] = ()
         judged = case
         if by_shots:
-            judged = case._replace(
-                plan=replace(case.plan, design=replace(case.plan.design, hits_per_mounting=0))
-            )
+            judged = case._replace(plan=with_values(case.plan, design={"hits_per_mounting": 0}))
         for looked in _looked(judged, shots):
             analysis = looked.within[0] if case.within else looked
             pairs = analysis.confirmatory.pairs if analysis.confirmatory else ()
@@ -192,18 +171,16 @@ def tally(case: Case, difference: float, campaigns: int, first: int = 0, *, by_s
 @cache
 def cases() -> list[Case]:
     """Return all rows."""
-    configuration = load_configuration(Path("shipped"))
-    ten, symmetry = (load_plan(Path(name), configuration) for name in ("ten-balls", "symmetry"))
-    ten = replace(ten, design=replace(ten.design, swings=("default",)))
+    symmetry, ten = shipped_plan("symmetry"), shipped_plan("ten-balls", design={"swings": ("default",)})
 
     def plan(count: int, blocks: int, balls: int, control: bool = False, **analysis: Any) -> CampaignPlan:
         names = tuple("abcdefghij"[:count])
-        return replace(
+        return with_values(
             ten,
-            design=replace(ten.design, balls=names, blocks=blocks),
-            control=replace(ten.control, ball="tour" if control else ""),
-            ball_handling=replace(ten.ball_handling, samples=balls),
-            analysis=replace(ten.analysis, equivalence_margin=0.0, expected_sd=2.0, **analysis),
+            design={"balls": names, "blocks": blocks},
+            control={"ball": "tour" if control else ""},
+            ball_handling={"samples": balls},
+            analysis={"equivalence_margin": 0.0, "expected_sd": 2.0, **analysis},
         )
 
     uneven = Known(scale=(3.0, 1.0), missing=0.15, ball=1.0)
@@ -238,14 +215,12 @@ def cases() -> list[Case]:
 
 def _split_cases() -> list[Case]:
     """Return rows of clubs that stay mounted, balls within them, and the same judged by shots."""
-    clubs = load_plan(Path("clubs-split-plot"), load_configuration(Path("shipped")))
 
     def plan(count: int, blocks: int, hits: int, balls: int = 1) -> CampaignPlan:
         names, hit = tuple("ABCDE"[:count]), tuple("abc"[:balls])
-        design = replace(clubs.design, clubs=names, balls=hit, blocks=blocks, hits_per_mounting=hits)
-        return replace(
-            clubs, design=design, analysis=replace(clubs.analysis, equivalence_margin=0.0, expected_sd=2.0)
-        )
+        design = {"clubs": names, "balls": hit, "blocks": blocks, "hits_per_mounting": hits}
+        analysis = {"equivalence_margin": 0.0, "expected_sd": 2.0}
+        return shipped_plan("clubs-split-plot", design=design, analysis=analysis)
 
     half, whole = Known(ball=1.0, mounting=1.0), Known(ball=1.0, mounting=2.0)
     holes = Known(ball=1.0, mounting=2.0, drift=0.02, missing=0.1)

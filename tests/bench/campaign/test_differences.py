@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import sections
 from bench.campaign.report.findings import difference_tables, difference_to, not_compared, section_labels
 from bench.campaign.statistics.analysis import SectionAnalysis, analyse
-from bench.config import load_configuration
+from tests.bench.campaign.plans import shipped_plan, with_values
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 
 def _analysed(name: str, **design: Any) -> tuple[CampaignPlan, list[SectionAnalysis]]:
-    plan = load_plan(Path(name), load_configuration(Path("shipped")))
-    plan = replace(plan, design=replace(plan.design, **design))
+    plan = shipped_plan(name, design=design)
     shots = campaign_shots(plan, Truth(sd=1.0, difference=6.0), 1)
     return plan, [
         analyse(plan, [shot for shot in shots if shot.section == one.number], one.number, one.name, ())
@@ -28,7 +25,7 @@ def _analysed(name: str, **design: Any) -> tuple[CampaignPlan, list[SectionAnaly
 
 
 def _referred(plan: CampaignPlan, reference: str) -> CampaignPlan:
-    return replace(plan, analysis=replace(plan.analysis, reference=reference))
+    return with_values(plan, analysis={"reference": reference})
 
 
 def test_difference_tables_three_swings_have_one_column_each() -> None:
@@ -88,7 +85,7 @@ def test_not_compared_lists_missing_pairs_interaction_and_other_quantities() -> 
 @pytest.mark.parametrize("quantity", ["launch_angle", "spin_rpm"])
 def test_not_compared_omits_compared_quantity(quantity: Any) -> None:
     plan, analyses = _analysed("ten-balls", blocks=2, swings=("default",))
-    plan = replace(plan, analysis=replace(plan.analysis, quantity=quantity))
+    plan = with_values(plan, analysis={"quantity": quantity})
     (others,) = not_compared(plan, difference_tables(plan, analyses), "x")
     assert quantity.partition("_")[0] not in others
     assert "carry" in others

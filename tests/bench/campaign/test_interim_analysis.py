@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,25 +9,22 @@ import pytest
 from scipy import stats
 
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.campaign_record import load_record, note_look
 from bench.campaign.report.findings import findings
 from bench.campaign.report.verdicts import confidence_words
 from bench.campaign.run.runner_control import new_entry
 from bench.campaign.statistics.sample_size import look_level, look_now, share_done, spent
-from bench.config import database_url, load_configuration
+from bench.config import database_url
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.rows import CampaignState
+from tests.bench.campaign.plans import NOW, SHIPPED, shipped_plan
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
-
-NOW = datetime(2026, 11, 22, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
 def plan() -> CampaignPlan:
-    two = load_plan(Path("two-balls"), load_configuration(Path("shipped")))
-    return replace(two, design=replace(two.design, blocks=20))
+    return shipped_plan("two-balls", design={"blocks": 20})
 
 
 def test_look_level_matches_published_obrien_fleming_limits() -> None:
@@ -76,10 +71,7 @@ def test_findings_interim_look_states_true_confidence(plan: CampaignPlan) -> Non
     assert comparison.confidence == pytest.approx(1 - spent(0.05, 0.5))
     (verdict,) = found.sections[0].verdicts
     assert f"{confidence_words(comparison.confidence)} % interval" in verdict.detail
-    assert (
-        "Interim analysis no. 1 has 50 % of the plan's shots; the others are excluded or still to come."
-        in verdict.detail
-    )
+    assert "Interim analysis no. 1 has 50 % of the plan's shots; the others are excluded" in verdict.detail
     whole = findings(plan, campaign_shots(plan, Truth(), 3)).sections[0].verdicts[0]
     assert "95 % interval" in whole.detail
     assert "look" not in whole.detail.lower()
@@ -94,7 +86,7 @@ def test_confidence_words_never_rounds_up(confidence: float, words: str) -> None
 
 
 def test_note_look_unfinished_campaign_stores_event(plan: CampaignPlan, tmp_path: Path) -> None:
-    entry = new_entry(plan, load_configuration(Path("shipped")), NOW, simulated=True)
+    entry = new_entry(plan, SHIPPED, NOW, simulated=True)
     shots = [StoredShot(shot) for shot in campaign_shots(plan, Truth(), 4)]
     with open_database(database_url("", tmp_path)) as engine:
         store = CampaignStore(engine)

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.findings import QUANTITIES, level_quantities
 from bench.campaign.statistics.analysis import values_of
 from bench.campaign.statistics.block_model import spread
-from bench.config import load_configuration
 from bench.records.shot.shot import ShotStatus
+from tests.bench.campaign.plans import shipped_plan
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 
 def test_level_quantities_cover_valid_shots_of_each_level() -> None:
-    plan = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
-    plan = replace(plan, design=replace(plan.design, blocks=6))
+    plan = shipped_plan("symmetry", design={"blocks": 6})
     shots = [replace(s, spin_rpm=2500.0 + s.shot, carry_side_m=0.1) for s in campaign_shots(plan, Truth(), 1)]
     mine = [n for n, shot in enumerate(shots) if shot.ball == "seam"]
     shots[mine[0]] = replace(shots[mine[0]], status=ShotStatus.EXCLUDED, reason="slow", spin_rpm=9000.0)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.findings import compact_letters, ranking
-from bench.campaign.statistics.analysis import analyse
-from bench.config import load_configuration
+from tests.bench.campaign.plans import compared, shipped_plan
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 
@@ -42,15 +39,14 @@ def test_compact_letters_thirty_groups_are_unique() -> None:
 
 
 def test_ranking_orders_by_effect() -> None:
-    plan = load_plan(Path("ten-balls"), load_configuration(Path("shipped")))
+    plan = shipped_plan("ten-balls")
     shots = [s for s in campaign_shots(plan, Truth(sd=1.0, difference=6.0), 1) if s.section == 1]
-    analysis = analyse(plan, shots, 1, "", ())
-    assert analysis.confirmatory is not None
-    found = ranking(analysis.confirmatory)
+    comparison = compared(plan, shots)
+    found = ranking(comparison)
     assert [one.rank for one in found] == list(range(1, 11))
     assert [one.effect for one in found] == sorted((one.effect for one in found), reverse=True)
     assert sum(one.effect for one in found) == pytest.approx(0, abs=1e-9)
-    verdicts = {frozenset((p.first, p.second)): p.verdict for p in analysis.confirmatory.pairs}
+    verdicts = {frozenset((p.first, p.second)): p.verdict for p in comparison.pairs}
     for one, two in combinations(found, 2):
         apart = verdicts[frozenset((one.name, two.name))] in {"different", "both"}
         assert apart == (not set(one.letters) & set(two.letters))

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,19 +10,15 @@ import pytest
 
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.campaign.run.corrections import Drift, DriftDetector
-from bench.config import load_configuration
-from bench.records.shot.shot import Shot, ShotStatus
-
-NOW = datetime(2026, 11, 22, tzinfo=UTC)
+from bench.records.shot.shot import ShotStatus
+from tests.bench.campaign.plans import row_of, shipped_plan, with_values
 
 
 @pytest.fixture(scope="module")
 def plan() -> CampaignPlan:
-    plan = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
-    return replace(plan, learning=replace(plan.learning, refresh=True))
+    return shipped_plan("symmetry", learning={"refresh": True})
 
 
 def step(block: int, swing: str = "default") -> Step:
@@ -49,13 +42,8 @@ class Blocks:
                 "dynamic_loft_deg": 11.0,
                 "strike_x_mm": 0.1 * self.random.standard_normal(),
                 "strike_y_mm": -2.0,
-                "status": ShotStatus.VALID,
-                "reason": "",
-                "delivery_source": "simulated",
-                "role": "test",
             } | changes
-            shot = Shot(1, number, 1, "driver", "tour", time_utc=NOW, swing=swing, section=1, **values)  # type: ignore[arg-type]
-            self.drifts.note(shot)
+            self.drifts.note(row_of(step(number, swing).trial, 1, **values))
 
 
 def test_drift_detector_scatter_reports_no_drift(plan: CampaignPlan) -> None:
@@ -112,5 +100,5 @@ def test_drift_detector_combines_small_blocks(plan: CampaignPlan) -> None:
 
 
 def test_drift_detector_without_refresh_reports_no_drift(plan: CampaignPlan) -> None:
-    blocks = Blocks(replace(plan, learning=replace(plan.learning, refresh=False)))
+    blocks = Blocks(with_values(plan, learning={"refresh": False}))
     assert not any(d for number in range(1, 6) for d in blocks.block(number, 40.0 + number))

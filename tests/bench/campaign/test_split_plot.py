@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import replace
-from datetime import UTC, datetime
 from io import StringIO
 from itertools import combinations, groupby, pairwise
 from pathlib import Path
@@ -27,24 +26,22 @@ from bench.campaign.report.preview import outlook, outlook_words, show_preview
 from bench.campaign.run.plan_requirements import needs, needs_words
 from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner_control import new_entry
-from bench.campaign.statistics.analysis import SectionAnalysis, analyse
+from bench.campaign.statistics.analysis import analyse
 from bench.campaign.statistics.block_model import as_split_plot, fully_randomised
-from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.rows import CampaignState, PromptKind, Standing
 from tests.bench.campaign.known_truth import Known, cases, drawn
+from tests.bench.campaign.plans import NOW, SHIPPED, compared, row_of, shipped_plan, with_values
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-SHIPPED = load_configuration(Path("shipped"))
-NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 BALLS = {"tour": 0.0, "range": 7.0}
 CLUBS = {"driver": 0.0, "driver-9": 2.0, "driver-12": 5.0}
 
 
 def _plan(blocks: int = 5, hits: int = 4, balls: tuple[str, ...] = ("tour", "range")) -> CampaignPlan:
-    plan = load_plan(Path("clubs-split-plot"), SHIPPED)
-    return replace(plan, design=replace(plan.design, blocks=blocks, hits_per_mounting=hits, balls=balls))
+    design = {"blocks": blocks, "hits_per_mounting": hits, "balls": balls}
+    return shipped_plan("clubs-split-plot", design=design)
 
 
 def _shots(plan: CampaignPlan, mounting: float, sd: float, seed: int = 1) -> list[Shot]:
@@ -55,28 +52,9 @@ def _shots(plan: CampaignPlan, mounting: float, sd: float, seed: int = 1) -> lis
         club, ball = trial.arm.club, trial.arm.ball
         carry = 180 + CLUBS[club] + BALLS[ball] + mounted[plan.design.clubs.index(club), trial.block]
         carry += 3 * trial.block + sd * random.normal()
-        shots.append(
-            Shot(
-                number,
-                trial.block,
-                trial.position,
-                club,
-                ball,
-                ShotStatus.VALID,
-                carry_m=float(carry),
-                carry_side_m=float(random.normal()),
-                club_speed_mps=43.0,
-                swing=trial.arm.swing,
-                sample=sample_for(plan, trial, Counter()) or 0,
-                attempt=1,
-                time_utc=NOW,
-            )
-        )
+        columns = {"carry_m": float(carry), "carry_side_m": float(random.normal()), "club_speed_mps": 43.0}
+        shots.append(row_of(trial, number, sample_for(plan, trial, Counter()) or 0, **columns))
     return shots
-
-
-def _analysis(plan: CampaignPlan, shots: list[Shot]) -> SectionAnalysis:
-    return analyse(plan, shots, 1, "")
 
 
 def test_all_trials_split_plot_keeps_club_mounted_within_block() -> None:
@@ -121,8 +99,7 @@ def test_missing_same_club_in_next_block_requires_new_mounting() -> None:
         return "" if wanted is None else wanted.text
 
     club = one.arm.club
-    shot = Shot(1, one.block, one.position, club, "tour", ShotStatus.VALID, time_utc=NOW)
-    used = Fitting(club).after(shot)
+    used = Fitting(club).after(row_of(one, 1))
     assert not asked(Fitting(club), one)
     assert not asked(used, one)
     assert asked(used, two) == f"Take club {club} off and mount it again: each mounting counts for itself."
@@ -134,8 +111,7 @@ def test_missing_same_club_in_next_block_requires_new_mounting() -> None:
 def test_analyse_split_plot_compares_clubs_by_mounting_means(balls: tuple[str, ...]) -> None:
     plan = _plan(blocks=4, balls=balls)
     shots = _shots(plan, 2.0, 1.0)
-    comparison = _analysis(plan, shots).confirmatory
-    assert comparison is not None
+    comparison = compared(plan, shots)
     means = np.array(
         [
             [np.mean([s.carry_m for s in shots if s.club == c and s.block == b]) for c in plan.design.clubs]
@@ -160,8 +136,7 @@ def test_analyse_split_plot_compares_clubs_by_mounting_means(balls: tuple[str, .
 
 def test_analyse_split_plot_compares_balls_within_mountings() -> None:
     plan = _plan()
-    quiet = _analysis(plan, _shots(plan, 0.0, 1.0)).within
-    loud = _analysis(plan, _shots(plan, 50.0, 1.0)).within
+    quiet, loud = (analyse(plan, _shots(plan, sd, 1.0), 1, "").within for sd in (0.0, 50.0))
     assert [inner.name for inner in loud] == list(plan.design.clubs)
     for one, two in zip(quiet, loud, strict=True):
         assert one.confirmatory is not None
@@ -183,9 +158,7 @@ def test_analyse_split_plot_missing_shots_keep_club_differences() -> None:
         else shot
         for shot in _shots(plan, 0.0, 0.0)
     ]
-    comparison = _analysis(plan, shots).confirmatory
-    assert comparison is not None
-    found = {(p.first, p.second): p.difference for p in comparison.pairs}
+    found = {(p.first, p.second): p.difference for p in compared(plan, shots).pairs}
     assert found["driver", "driver-9"] == pytest.approx(-2.0)
     assert found["driver", "driver-12"] == pytest.approx(-5.0)
 
@@ -193,7 +166,7 @@ def test_analyse_split_plot_missing_shots_keep_club_differences() -> None:
 def test_analyse_split_plot_one_mounting_compares_no_clubs() -> None:
     plan = _plan()
     shots = [shot for shot in _shots(plan, 2.0, 1.0) if shot.block == 1]
-    result = _analysis(plan, shots)
+    result = analyse(plan, shots, 1, "")
     assert result.confirmatory is None
     assert result.within[0].confirmatory is not None
     (first, *_) = findings(plan, shots).sections[0].verdicts
@@ -207,18 +180,13 @@ def test_analyse_split_plot_many_mountings_have_separate_scatter() -> None:
         replace(s, carry_m=s.carry_m + 20 * (-1) ** s.block) if s.club == "driver" and s.carry_m else s
         for s in shots
     ]
-    comparison = _analysis(plan, wild).confirmatory
-    assert comparison is not None
-    errors = {(p.first, p.second): p.error for p in comparison.pairs}
+    errors = {(p.first, p.second): p.error for p in compared(plan, wild).pairs}
     assert errors["driver-9", "driver-12"] < 0.2 * errors["driver", "driver-9"]
 
 
 def test_outlook_split_plot_includes_mounting_scatter() -> None:
     plan = _plan()
-    found, without = (
-        outlook(plan),
-        outlook(replace(plan, analysis=replace(plan.analysis, mounting_sd=0.0))),
-    )
+    found, without = (outlook(one) for one in (plan, with_values(plan, analysis={"mounting_sd": 0.0})))
     assert found.dof == pytest.approx(8)
     assert found.resolution is not None
     assert without.resolution is not None
@@ -233,13 +201,13 @@ def test_outlook_split_plot_includes_mounting_scatter() -> None:
 
 
 def test_as_split_plot_suggests_layout_for_randomised_clubs() -> None:
-    plan = load_plan(Path("clubs"), SHIPPED)
+    plan = shipped_plan("clubs")
     layout = as_split_plot(plan)
     assert layout is not None
     assert (layout.design.blocks, layout.design.hits_per_mounting) == (3, 4)
     words = needs_words(plan, 10**12)[-1]
     assert "(design.blocks = 3, hits_per_mounting = 4) it would be 8 club changes, about 24 min" in words
-    assert as_split_plot(load_plan(Path("two-balls"), SHIPPED)) is None
+    assert as_split_plot(shipped_plan("two-balls")) is None
 
 
 @pytest.mark.parametrize(
@@ -275,14 +243,8 @@ def test_campaign_report_split_plot_names_mountings() -> None:
     found = findings(plan, shots)
     assert "5 mountings, by which clubs are judged" in found.sections[0].verdicts[0].detail
     assert [v.headline.split(":")[0] for v in found.sections[0].verdicts[1:]] == [f"With {c}" for c in CLUBS]
-    record = CampaignRecord(
-        new_entry(plan, SHIPPED, NOW, simulated=True),
-        Standing(CampaignState.FINISHED, "", ""),
-        plan,
-        shots,
-        [],
-        Counter(),
-    )
+    entry, standing = new_entry(plan, SHIPPED, NOW, simulated=True), Standing(CampaignState.FINISHED, "", "")
+    record = CampaignRecord(entry, standing, plan, shots, [], Counter())
     page = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", render_campaign_report(record, found)))
     for wanted in ("Balls within driver-12", "between mountings of one club", "mountings of a club random"):
         assert wanted in page, wanted
@@ -293,9 +255,7 @@ def test_analyse_split_plot_zero_mounting_sd_keeps_shot_scatter() -> None:
     case = next(case for case in cases() if "no mounting error" in case.name)
     found = []
     for number in range(20):
-        shots, _ = drawn(case._replace(known=Known()), 0.0, number)
-        comparison = analyse(case.plan, shots, 1, "", ()).confirmatory
-        assert comparison is not None
+        comparison = compared(case.plan, drawn(case._replace(known=Known()), 0.0, number)[0])
         if comparison.ball_sd == 0:
             found.append(comparison.sd / Known().sd)
     assert len(found) > 5

@@ -88,6 +88,12 @@ def _store(url: Any) -> Iterator[CampaignStore]:
         yield CampaignStore(engine)
 
 
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[CampaignStore]:
+    with _store(database_url("", tmp_path)) as store:
+        yield store
+
+
 def _round_trip(url: Any) -> None:
     with _store(url) as store:
         store.begin(ENTRY)
@@ -308,107 +314,99 @@ def test_campaign_store_server_connection_loss_stores_commit_once(
         assert (proxy.before, proxy.after) == (0, 0)
 
 
-def test_campaign_store_manual_exclusion_changes_shot_counts(tmp_path: Path) -> None:
-    with _store(database_url("", tmp_path)) as store:
-        store.begin(ENTRY)
-        failed = StoredShot(replace(SHOT, shot=4, status=ShotStatus.FAILED, reason="no ball"))
-        store.add(ENTRY, [*_shots(1, 3), failed])
-        for shot, excluded in ((1, True), (2, True), (2, False), (2, True), (3, True), (3, False), (4, True)):
-            store.add_exclusion(ENTRY.id, ShotExclusion(shot, NOW, "Ann", "a gust", excluded, 4))
-        ((_, _, counts),) = store.entries()
-        assert {status: counts[status] for status in ShotStatus} == {"valid": 1, "excluded": 2, "failed": 1}
+def test_campaign_store_manual_exclusion_changes_shot_counts(store: CampaignStore) -> None:
+    store.begin(ENTRY)
+    failed = StoredShot(replace(SHOT, shot=4, status=ShotStatus.FAILED, reason="no ball"))
+    store.add(ENTRY, [*_shots(1, 3), failed])
+    for shot, excluded in ((1, True), (2, True), (2, False), (2, True), (3, True), (3, False), (4, True)):
+        store.add_exclusion(ENTRY.id, ShotExclusion(shot, NOW, "Ann", "a gust", excluded, 4))
+    ((_, _, counts),) = store.entries()
+    assert {status: counts[status] for status in ShotStatus} == {"valid": 1, "excluded": 2, "failed": 1}
 
 
-def test_campaign_store_conflicting_batch_is_rolled_back(tmp_path: Path) -> None:
-    with _store(database_url("", tmp_path)) as store:
-        store.begin(ENTRY)
-        store.add(ENTRY, _shots(1, 3), hits={Hit("club", "driver"): 3})
-        with pytest.raises(Refused, match="one runner"):
-            store.add(ENTRY, [*_shots(4, 2), *_shots(3, 1)], hits={Hit("club", "driver"): 3})
-        assert len(store.shots(ENTRY.id)) == 3
-        assert store.hits(ENTRY.id)[Hit("club", "driver")] == 3
+def test_campaign_store_conflicting_batch_is_rolled_back(store: CampaignStore) -> None:
+    store.begin(ENTRY)
+    store.add(ENTRY, _shots(1, 3), hits={Hit("club", "driver"): 3})
+    with pytest.raises(Refused, match="one runner"):
+        store.add(ENTRY, [*_shots(4, 2), *_shots(3, 1)], hits={Hit("club", "driver"): 3})
+    assert len(store.shots(ENTRY.id)) == 3
+    assert store.hits(ENTRY.id)[Hit("club", "driver")] == 3
 
 
-def test_campaign_store_second_issue_of_one_number_is_refused(tmp_path: Path) -> None:
-    with _store(database_url("", tmp_path)) as store:
-        store.begin(ENTRY)
-        issue = Event(NOW, 1, "issue", "issued by Ann")
+def test_campaign_store_second_issue_of_one_number_is_refused(store: CampaignStore) -> None:
+    store.begin(ENTRY)
+    issue = Event(NOW, 1, "issue", "issued by Ann")
+    store.note_issue(ENTRY.id, issue, 1)
+    with pytest.raises(Refused, match="issued meanwhile"):
         store.note_issue(ENTRY.id, issue, 1)
-        with pytest.raises(Refused, match="issued meanwhile"):
-            store.note_issue(ENTRY.id, issue, 1)
-        store.note_issue(ENTRY.id, issue, 2)
-        assert store.events(ENTRY.id) == [issue, issue]
+    store.note_issue(ENTRY.id, issue, 2)
+    assert store.events(ENTRY.id) == [issue, issue]
 
 
-def test_campaign_store_duplicate_or_unknown_id_is_refused(tmp_path: Path) -> None:
-    with _store(database_url("", tmp_path)) as store:
+def test_campaign_store_duplicate_or_unknown_id_is_refused(store: CampaignStore) -> None:
+    store.begin(ENTRY)
+    with pytest.raises(Refused, match="the id exists already"):
         store.begin(ENTRY)
-        with pytest.raises(Refused, match="the id exists already"):
-            store.begin(ENTRY)
-        with pytest.raises(BenchError, match="no such campaign"):
-            store.entry("other")
+    with pytest.raises(BenchError, match="no such campaign"):
+        store.entry("other")
 
 
-def test_campaign_store_real_bench_hits_sum_over_campaigns(tmp_path: Path) -> None:
+def test_campaign_store_real_bench_hits_sum_over_campaigns(store: CampaignStore) -> None:
     real = replace(ENTRY, simulated=False)
-    with _store(database_url("", tmp_path)) as store:
-        for number in (1, 2):
-            entry = replace(real, id=f"c{number}")
-            store.begin(entry)
-            store.add(entry, _shots(1, 1), hits={Hit("ball", "tour", 3): 5})
-        assert store.hits("bench1") == {Hit("ball", "tour", 3): 10}
+    for number in (1, 2):
+        entry = replace(real, id=f"c{number}")
+        store.begin(entry)
+        store.add(entry, _shots(1, 1), hits={Hit("ball", "tour", 3): 5})
+    assert store.hits("bench1") == {Hit("ball", "tour", 3): 10}
 
 
-def test_campaign_store_entries_order_ignores_clock_set_back(tmp_path: Path) -> None:
-    with _store(database_url("", tmp_path)) as store:
-        for name, hours in (("a", 0), ("b", -30), ("c", -20)):
-            store.begin(replace(ENTRY, id=name, date=NOW + timedelta(hours=hours)))
-        assert [entry.id for entry, _, _ in store.entries()] == ["c", "b", "a"]
+def test_campaign_store_entries_order_ignores_clock_set_back(store: CampaignStore) -> None:
+    for name, hours in (("a", 0), ("b", -30), ("c", -20)):
+        store.begin(replace(ENTRY, id=name, date=NOW + timedelta(hours=hours)))
+    assert [entry.id for entry, _, _ in store.entries()] == ["c", "b", "a"]
 
 
-def test_last_answered_clock_set_back_returns_latest_club(tmp_path: Path) -> None:
+def test_last_answered_clock_set_back_returns_latest_club(store: CampaignStore) -> None:
     """An old campaign that is resumed may mount a club after a newer one did."""
     first, second = (replace(ENTRY, id=name, simulated=False) for name in ("old", "new"))
-    with _store(database_url("", tmp_path)) as store:
-        for entry in (first, second):
-            store.begin(entry)
-            store.ask(entry.id, PROMPTS[1]._replace(number=1))
-        assert store.last_answered(first, "club") is None
-        answered = []
-        for campaign, hours in (("new", 0), ("old", -2)):
-            store.answer(campaign, 1, "Ann", NOW + timedelta(hours=hours))
-            answered.append(store.last_answered(first, "club"))
-        assert [found and found[0] for found in answered] == ["new", "old"]
-        store.add(second, [], prompts=[PROMPTS[0]._replace(number=2, answered=NOW - timedelta(hours=9))])
-        assert store.last_answered(first, "club") == (
-            "new",
-            PROMPTS[0]._replace(number=2, answered=NOW - timedelta(hours=9)),
-        )
+    for entry in (first, second):
+        store.begin(entry)
+        store.ask(entry.id, PROMPTS[1]._replace(number=1))
+    assert store.last_answered(first, "club") is None
+    answered = []
+    for campaign, hours in (("new", 0), ("old", -2)):
+        store.answer(campaign, 1, "Ann", NOW + timedelta(hours=hours))
+        answered.append(store.last_answered(first, "club"))
+    assert [found and found[0] for found in answered] == ["new", "old"]
+    store.add(second, [], prompts=[PROMPTS[0]._replace(number=2, answered=NOW - timedelta(hours=9))])
+    assert store.last_answered(first, "club") == (
+        "new",
+        PROMPTS[0]._replace(number=2, answered=NOW - timedelta(hours=9)),
+    )
 
 
-def test_campaign_store_restores_runs_notes_and_set_aside_shots(tmp_path: Path) -> None:
-    with _store(database_url("", tmp_path)) as store:
-        store.begin(ENTRY)
-        store.begin_run(ENTRY.id, CampaignRun(0, NOW, "Ann", {"numpy": "2"}, {"driver": "sim"}))
-        store.begin_run(ENTRY.id, CampaignRun(0, NOW, "Bob", {"numpy": "3"}))
-        assert [(run.number, run.by, run.versions) for run in store.runs(ENTRY.id)] == [
-            (1, "Ann", {"numpy": "2"}),
-            (2, "Bob", {"numpy": "3"}),
-        ]
-        store.add(ENTRY, _shots(1, 3))
-        lost = replace(SHOT, shot=4, status=ShotStatus.FAILED, reason="no ball")
-        store.add(ENTRY, [StoredShot(lost)])
-        event = Event(NOW, 5, "restart", "block 1 restarted")
-        store.set_aside(ENTRY.id, [3, 4], event)
-        assert [stored.set_aside for stored in store.shots(ENTRY.id)] == [False, False, True, True]
-        fates = [(stored.shot.status, stored.shot.reason) for stored in store.shots(ENTRY.id)[2:]]
-        assert fates == [(ShotStatus.EXCLUDED, "block 1 restarted"), (ShotStatus.FAILED, "no ball")]
-        assert store.events(ENTRY.id) == [event]
-        store.add_note(ENTRY.id, ShotNote(2, NOW, "Ann", "a gust"))
-        store.add_note(ENTRY.id, ShotNote(1, NOW, "Ann", ""))
-        assert [(note.shot, note.text) for note in store.notes(ENTRY.id)] == [(1, ""), (2, "a gust")]
-        with pytest.raises(Refused, match="no shot 5, expected a shot from 1 to 4"):
-            store.add_note(ENTRY.id, ShotNote(5, NOW, "Ann", ""))
+def test_campaign_store_restores_runs_notes_and_set_aside_shots(store: CampaignStore) -> None:
+    store.begin(ENTRY)
+    store.begin_run(ENTRY.id, CampaignRun(0, NOW, "Ann", {"numpy": "2"}, {"driver": "sim"}))
+    store.begin_run(ENTRY.id, CampaignRun(0, NOW, "Bob", {"numpy": "3"}))
+    assert [(run.number, run.by, run.versions) for run in store.runs(ENTRY.id)] == [
+        (1, "Ann", {"numpy": "2"}),
+        (2, "Bob", {"numpy": "3"}),
+    ]
+    store.add(ENTRY, _shots(1, 3))
+    lost = replace(SHOT, shot=4, status=ShotStatus.FAILED, reason="no ball")
+    store.add(ENTRY, [StoredShot(lost)])
+    event = Event(NOW, 5, "restart", "block 1 restarted")
+    store.set_aside(ENTRY.id, [3, 4], event)
+    assert [stored.set_aside for stored in store.shots(ENTRY.id)] == [False, False, True, True]
+    fates = [(stored.shot.status, stored.shot.reason) for stored in store.shots(ENTRY.id)[2:]]
+    assert fates == [(ShotStatus.EXCLUDED, "block 1 restarted"), (ShotStatus.FAILED, "no ball")]
+    assert store.events(ENTRY.id) == [event]
+    store.add_note(ENTRY.id, ShotNote(2, NOW, "Ann", "a gust"))
+    store.add_note(ENTRY.id, ShotNote(1, NOW, "Ann", ""))
+    assert [(note.shot, note.text) for note in store.notes(ENTRY.id)] == [(1, ""), (2, "a gust")]
+    with pytest.raises(Refused, match="no shot 5, expected a shot from 1 to 4"):
+        store.add_note(ENTRY.id, ShotNote(5, NOW, "Ann", ""))
 
 
 @contextmanager
@@ -468,24 +466,20 @@ HOUR = timedelta(hours=1)
 COLD = AirReading("bench1", NOW, 285.0, 1.0e5, 0.4, "Ann")
 
 
-def test_newest_air_returns_last_added_until_expiry(tmp_path: Path) -> None:
+def test_newest_air_returns_last_added_until_expiry(store: CampaignStore) -> None:
     warm = AirReading("bench1", NOW + HOUR, 295.0, 1.01e5, 0.5, "station 3")
-    with open_database(database_url("", tmp_path)) as engine:
-        store = CampaignStore(engine)
-        assert store.newest_air("bench1", NOW) is None
-        store.add_air(COLD)
-        store.add_air(warm)
-        assert store.newest_air("bench1", NOW) == warm
-        assert store.newest_air("bench1", NOW + HOUR) == warm
-        assert store.newest_air("bench1", NOW + 2 * HOUR) is None
-        assert store.newest_air("bench2", NOW) is None
+    assert store.newest_air("bench1", NOW) is None
+    store.add_air(COLD)
+    store.add_air(warm)
+    assert store.newest_air("bench1", NOW) == warm
+    assert store.newest_air("bench1", NOW + HOUR) == warm
+    assert store.newest_air("bench1", NOW + 2 * HOUR) is None
+    assert store.newest_air("bench2", NOW) is None
 
 
-def test_newest_air_clock_set_back_returns_last_added(tmp_path: Path) -> None:
+def test_newest_air_clock_set_back_returns_last_added(store: CampaignStore) -> None:
     after = COLD._replace(date=NOW - HOUR)
-    with open_database(database_url("", tmp_path)) as engine:
-        store = CampaignStore(engine)
-        store.add_air(COLD)
-        store.add_air(after)
-        assert store.newest_air("bench1", NOW - 2 * HOUR) == after
-        assert store.newest_air("bench1", NOW) == COLD
+    store.add_air(COLD)
+    store.add_air(after)
+    assert store.newest_air("bench1", NOW - 2 * HOUR) == after
+    assert store.newest_air("bench1", NOW) == COLD

@@ -29,7 +29,6 @@ from bench.campaign.plan.bench_setup import (
 )
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
 from bench.campaign.report.preview import preview_record, show_preview
 from bench.campaign.run.campaign_control import answer, runner_lock
@@ -38,15 +37,15 @@ from bench.campaign.run.runner import Runner, RunOutcome
 from bench.campaign.run.runner_control import course_of, new_entry
 from bench.campaign.run.shot_source import Watcher
 from bench.commands.campaign.campaign_terminal import CampaignBar, TerminalOperator
-from bench.config import database_url, load_configuration
-from bench.records.shot.shot import Shot, ShotStatus
+from bench.config import database_url
+from bench.records.shot.shot import ShotStatus
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.rows import CampaignState, Hit, Prompt, PromptKind, places
-from tests.bench.campaign.run.test_runner import NOW, Scripted
+from tests.bench.campaign.plans import NOW, SHIPPED, row_of, shipped_plan, with_values
+from tests.bench.campaign.run.test_runner import Scripted
 
-CONFIGURATION = load_configuration(Path("shipped"))
 PROFILES = dict[tuple[tuple[str, ...], tuple[str, ...]], Profiles]()
 """Assessed once for each swings and clubs of a plan."""
 
@@ -100,7 +99,7 @@ class Series:
     """A plan with a club change, in its own database."""
 
     def __init__(self, folder: Path, engine: Any, plan: CampaignPlan, *, real: bool = False) -> None:
-        configuration = replace(CONFIGURATION, bench=replace(CONFIGURATION.bench, data_dir=folder))
+        configuration = replace(SHIPPED, bench=replace(SHIPPED.bench, data_dir=folder))
         self.folder, self.plan, self.store = folder, plan, CampaignStore(engine)
         facts = {"driver": "canopen", "club": "driver"} if real else None
         self.entry = new_entry(plan, configuration, datetime.now(UTC), simulated=not real, real_time=facts)
@@ -111,18 +110,10 @@ class Series:
     ) -> RunOutcome:
         design = self.plan.design
         if (used := (design.swings, design.clubs)) not in PROFILES:
-            PROFILES[used] = require_swings(self.plan, CONFIGURATION)
-        runner = Runner(
-            self.entry,
-            self.plan,
-            self.store,
-            self.folder,
-            source,
-            Watcher(),
-            4,
-            person or Person(kinds=frozenset({PromptKind.BENCH})),
-        )
-        return runner.run(course_of(self.plan, PROFILES[used], CONFIGURATION.plant.robot.lie), interrupted)
+            PROFILES[used] = require_swings(self.plan, SHIPPED)
+        person = person or Person(kinds=frozenset({PromptKind.BENCH}))
+        runner = Runner(self.entry, self.plan, self.store, self.folder, source, Watcher(), 4, person)
+        return runner.run(course_of(self.plan, PROFILES[used], SHIPPED.plant.robot.lie), interrupted)
 
     @property
     def prompts(self) -> list[Prompt]:
@@ -134,13 +125,8 @@ class Series:
 
 
 def clubs_plan(**handling: Any) -> CampaignPlan:
-    plan = load_plan(Path("clubs"), CONFIGURATION)
-    return replace(
-        plan,
-        design=replace(plan.design, blocks=2, clubs=("driver", "driver-9")),
-        warm_up=replace(plan.warm_up, at_most=0),
-        ball_handling=replace(plan.ball_handling, **handling),
-    )
+    design = {"blocks": 2, "clubs": ("driver", "driver-9")}
+    return shipped_plan("clubs", design=design, warm_up={"at_most": 0}, ball_handling=handling)
 
 
 @pytest.fixture
@@ -244,13 +230,9 @@ def test_runner_crash_keeps_open_prompt(make: Callable[..., Series]) -> None:
 
 def test_runner_real_bench_knows_club_of_previous_campaign(make: Callable[..., Series]) -> None:
     def plan_with(name: str, *clubs: str) -> CampaignPlan:
-        plan = clubs_plan()
-        return replace(
-            plan,
-            campaign=replace(plan.campaign, name=name),
-            design=replace(plan.design, clubs=clubs, compare="ball", balls=("tour", "range"), blocks=1),
-            balls={name: CONFIGURATION.balls[name] for name in ("tour", "range")},
-        )
+        design = {"clubs": clubs, "compare": "ball", "balls": ("tour", "range"), "blocks": 1}
+        plan = with_values(clubs_plan(), campaign={"name": name}, design=design)
+        return replace(plan, balls={name: SHIPPED.balls[name] for name in ("tour", "range")})
 
     first = make(plan_with("one", "driver-9"), real=True)
     assert first.run(Rig(), Person()).state is CampaignState.FINISHED
@@ -295,9 +277,7 @@ def test_runner_prompt_met_before_resume_is_closed(make: Callable[..., Series]) 
 
 def ten_shots(magazine: int) -> CampaignPlan:
     """Return the plan of two balls with five blocks, balls filled in by hand."""
-    plan = load_plan(Path("two-balls"), CONFIGURATION)
-    handling = replace(plan.ball_handling, magazine=magazine)
-    return replace(plan, design=replace(plan.design, blocks=5), ball_handling=handling)
+    return shipped_plan("two-balls", design={"blocks": 5}, ball_handling={"magazine": magazine})
 
 
 def test_runner_feeder_loads_in_order_and_refills_after_jam(make: Callable[..., Series]) -> None:
@@ -424,7 +404,7 @@ def test_runner_real_time_crash_prompts_feeder_reload(make: Callable[..., Series
 
     plan = ten_shots(magazine=10)
     for real, asked in ((True, [1, 3]), (False, [1])):
-        series = make(replace(plan, campaign=replace(plan.campaign, name=f"real-{int(real)}")), real=real)
+        series = make(with_values(plan, campaign={"name": f"real-{int(real)}"}), real=real)
         with pytest.raises(RuntimeError):
             series.run(Rig(dies), Person())
         series.run(Rig(), Person())
@@ -442,7 +422,7 @@ def test_coming_balls_lists_each_ball_once_across_club_changes() -> None:
     assert coming_balls(clubs_plan(magazine=4), first, {}) == [("tour", n) for n in range(1, 5)]
     warm = PlannedShot(Role.WARM_UP, 1, 0, 2, Arm("default", "driver", "tour"))
     assert coming_balls(plan, warm, {}) == [("tour", 1), ("tour", 2)]
-    longer = replace(plan, warm_up=replace(plan.warm_up, at_most=8))
+    longer = with_values(plan, warm_up={"at_most": 8})
     assert len(coming_balls(longer, warm._replace(position=4), {})) == 3, "one load for all that may come"
     used = Counter({Hit("ball", "tour", 1): 20})
     assert coming_balls(clubs_plan(magazine=1, hits=20), first, used) == [("tour", 2)]
@@ -500,22 +480,28 @@ def test_fitting_after_follows_prompts_and_shots() -> None:
     def prompt(number: int, before: int, content: dict[str, Any], *, done: bool = True) -> Prompt:
         return Prompt(number, before, "x", "x", content, NOW, NOW if done else None)
 
-    shots = [Shot(n, 1, n, "driver", "tour", ShotStatus.VALID, time_utc=NOW) for n in (1, 2)]
+    trial = PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour"))
+    shots = [row_of(trial, n) for n in (1, 2)]
     balls = prompt(2, 2, {"balls": [["tour", 2], ["range", 1], ["tour", 3]]})
     prompts = [prompt(1, 2, {"club": "iron"}), balls, prompt(3, 3, {"club": "wood"}, done=False)]
     assert fitting_after("driver", shots, prompts) == Fitting("iron", (("range", 1), ("tour", 3)), 1)
     failed = replace(shots[1], status=ShotStatus.FAILED, reason="jam")
     assert fitting_after("driver", [shots[0], failed], prompts).feeder == ()
-    step = Step(PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
-    assert missing(clubs_plan(), Fitting("driver"), step, 1, {}) is None
+    assert missing(clubs_plan(), Fitting("driver"), Step(trial, 1, Centre()), 1, {}) is None
 
 
-def test_terminal_operator_accepts_enter_only_after_prompt(monkeypatch: pytest.MonkeyPatch) -> None:
+@contextmanager
+def terminal_operator(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[TerminalOperator, int, StringIO]]:
+    """Yield an operator at a terminal, the terminal's other end, and the printed text."""
     master, slave = pty.openpty()
     out = StringIO()
     with os.fdopen(slave, "r") as terminal, CampaignBar(console=Console(file=out), disable=True) as bar:
         monkeypatch.setattr("sys.stdin", terminal)
-        person = TerminalOperator(bar, "clubs-1", frozenset(PromptKind))
+        yield TerminalOperator(bar, "clubs-1", frozenset(PromptKind)), master, out
+
+
+def test_terminal_operator_accepts_enter_only_after_prompt(monkeypatch: pytest.MonkeyPatch) -> None:
+    with terminal_operator(monkeypatch) as (person, master, out):
         os.write(master, b"\n")
         person.show(Prompt(1, 7, PromptKind.CLUB, "Mount club driver-9 [sic].", {}, NOW))
         assert not person.answered()
@@ -532,15 +518,9 @@ def test_terminal_operator_accepts_enter_only_after_prompt(monkeypatch: pytest.M
     assert "golfbench campaign answer clubs-1" in text
 
 
-def test_terminal_operator_load_list_requires_correct_count(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    master, slave = pty.openpty()
-    out = StringIO()
+def test_terminal_operator_load_list_requires_correct_count(monkeypatch: pytest.MonkeyPatch) -> None:
     balls = [["tour", 1], ["range", 1], ["tour", 2], ["range", 2], ["tour", 3]]
-    with os.fdopen(slave, "r") as terminal, CampaignBar(console=Console(file=out), disable=True) as bar:
-        monkeypatch.setattr("sys.stdin", terminal)
-        person = TerminalOperator(bar, "two-1", frozenset(PromptKind))
+    with terminal_operator(monkeypatch) as (person, master, out):
         person.show(Prompt(1, 7, PromptKind.BALLS, "Fill it.", {"balls": balls}, NOW))
 
         def answers(line: str, expected: bool) -> None:
@@ -570,7 +550,7 @@ def _line(out: StringIO) -> str:
 
 def test_runner_with_operator_gives_same_shots(make: Callable[..., Series]) -> None:
     plan = clubs_plan()
-    by_itself, by_person = make(), make(replace(plan, campaign=replace(plan.campaign, name="b")))
+    by_itself, by_person = make(), make(with_values(plan, campaign={"name": "b"}))
     by_itself.run(Rig())
     by_person.run(Rig(), Person())
     shots = [[stored.shot for stored in s.store.shots(s.entry.id)] for s in (by_itself, by_person)]

@@ -112,7 +112,7 @@ def test_campaign_names_lists_shipped_examples() -> None:
         (
             ('ball = "tour"', 'ball = "tour"\n[rules.uncertainty]\ncarry = 1.0'),
             "rules.uncertainty.carry",
-            "no quantity",
+            "carry",
         ),
         (('ball = "tour"', 'ball = "tour"\n[analysis]\nreference = "tuor"'), "analysis.reference", "tuor"),
         (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "y"'), "balls.x.like", "y"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 from math import hypot, inf, radians
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,33 +12,28 @@ import pytest
 from scipy import stats
 
 from bench.campaign.plan.plan import CampaignPlan, StatedCalibration, stated_uncertainties
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.budget import UncertaintyBudget, flight_slopes, uncertainty_budgets
-from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from drivers.base import Launch
 from sim.ball import Air
 from sim.flight import fly
+from tests.bench.campaign.plans import shipped_plan, with_values
 
 BENCH: dict[str, Any] = {
     "bench": {
         "in_force": [
             {
-                "kind": "club",
-                "subject": "driver",
+                "kind": kind,
+                "subject": club,
                 "version": 3,
-                "date": "2026-01-01T00:00:00+00:00",
-                "method": "gauge",
-                "values": {"length_uncertainty": 5e-4},
-            },
-            {
-                "kind": "encoders",
-                "subject": "",
-                "version": 1,
-                "date": "2026-01-01T00:00:00+00:00",
+                "date": "2026-01-01T",
                 "method": "jig",
-                "values": {"uncertainty": 1e-3},
-            },
+                "values": values,
+            }
+            for kind, club, values in (
+                ("club", "driver", {"length_uncertainty": 5e-4}),
+                ("encoders", "", {"uncertainty": 1e-3}),
+            )
         ],
         "club_speed": [{"swing": "default", "club": "driver", "length": 21.0, "zeros": -2.0}],
     }
@@ -56,8 +50,7 @@ MONITOR = StatedCalibration(
 
 
 def _plan(*calibrations: StatedCalibration) -> CampaignPlan:
-    plan = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
-    return replace(plan, calibrations={str(n): one for n, one in enumerate(calibrations)})
+    return replace(shipped_plan("symmetry"), calibrations={str(n): one for n, one in enumerate(calibrations)})
 
 
 def _shots(carry_source: str = "monitor", seed: int = 1, off: float = 0.0) -> list[Shot]:
@@ -154,7 +147,7 @@ def test_stated_uncertainty_uses_rule_or_calibrations() -> None:
     plan = _plan(MONITOR)
     assert hypot(*(one.uncertainty for one in stated_uncertainties(plan, "carry_m"))) == pytest.approx(0.7)
     assert stated_uncertainties(plan, "total_m") == []
-    stated = replace(plan, rules=replace(plan.rules, uncertainty={"carry_m": 2.5}))
+    stated = with_values(plan, rules={"uncertainty": {"carry_m": 2.5}})
     assert [one.uncertainty for one in stated_uncertainties(stated, "carry_m")] == [2.5]
     two = _plan(MONITOR, replace(MONITOR, uncertainty={"carry_m": 2.4}))
     assert hypot(*(one.uncertainty for one in stated_uncertainties(two, "carry_m"))) == pytest.approx(2.5)

@@ -6,22 +6,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from math import pi, radians
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.campaign.plan.conformity_rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role
 from bench.campaign.report.conformity import Decision, RuleFinding, decide_by_limit, judge_rules
 from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
-from bench.config import Configuration
-from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot
 from drivers.base import Launch
 from sim.ball import Air, Ball
 from sim.flight import fly
+from tests.bench.campaign.plans import row_of, shipped_plan, with_values
 
 YARD = 0.9144
 WHEN = datetime(2026, 11, 22, 10, 0, tzinfo=UTC)
@@ -33,8 +33,8 @@ TEST_AIR = Air(297.04, 101_592.0, 0.5)
 
 
 @pytest.fixture
-def distance(configuration: Configuration) -> CampaignPlan:
-    return load_plan(Path("distance"), configuration)
+def distance() -> CampaignPlan:
+    return shipped_plan("distance")
 
 
 def _shots(
@@ -48,29 +48,16 @@ def _shots(
     when: datetime = WHEN,
 ) -> list[Shot]:
     """Return shots of `ball` with `totals` (yd, as total and as carry) and as many of the control ball."""
+    columns: dict[str, Any] = dict(
+        zip(("ball_speed_mps", "launch_angle_deg", "spin_rpm"), set_up, strict=True)
+    )
+    columns |= {"carry_source": source, "carry_measured_error_m": 0.5, "time_utc": when}
     found = []
     for n, total in enumerate(totals):
-        for role, name in (("control", "tour"), ("test", ball)):
-            shot = Shot(
-                100 * section + 2 * n + (role == "test"),
-                n + 1,
-                1,
-                "driver",
-                name,
-                ShotStatus.VALID,
-                ball_speed_mps=set_up[0],
-                launch_angle_deg=set_up[1],
-                spin_rpm=set_up[2],
-                carry_m=total * YARD,
-                total_m=total * YARD,
-                carry_source=source,
-                carry_measured_error_m=0.5,
-                role=role,
-                section=section,
-                sample=1 + n % balls,
-                time_utc=when,
-            )
-            found.append(shot)
+        for role, name in ((Role.CONTROL, "tour"), (Role.TEST, ball)):
+            trial = PlannedShot(role, section, n + 1, 1, Arm("default", "driver", name))
+            row = row_of(trial, 100 * section + 2 * n + (role is Role.TEST), 1 + n % balls, **columns)
+            found.append(replace(row, carry_m=total * YARD, total_m=total * YARD))
     return found
 
 
@@ -84,7 +71,7 @@ def _only(found: Sequence[RuleFinding]) -> RuleFinding:
 
 
 def _with_rules(plan: CampaignPlan, *names: str) -> CampaignPlan:
-    return replace(plan, rules=replace(plan.rules, apply=names))
+    return with_values(plan, rules={"apply": names})
 
 
 def test_judge_rules_long_ball_is_judged_only_at_rule_set_up(
@@ -99,10 +86,8 @@ def test_judge_rules_long_ball_is_judged_only_at_rule_set_up(
     assert totals[:2] == pytest.approx([363, 378], abs=1.0)
     assert totals[2] < 300
     found = judge_rules(distance, _shots(ROBOT, _scatter(totals[2])))
-    assert [(one.rule, one.decision) for one in found] == [
-        ("ods-2004", Decision.NOT_JUDGED),
-        ("ods-2030", Decision.NOT_JUDGED),
-    ]
+    assert [one.rule for one in found] == ["ods-2004", "ods-2030"]
+    assert {one.decision for one in found} == {Decision.NOT_JUDGED}
     assert "ball speed 63.0 m/s, rule 78.7 ± 0.5 m/s" in found[0].words_in(UnitSystem.US)
     assert "launch angle 13.0 °, rule 10.0 ± 0.5 °" in found[0].words_in(UnitSystem.US)
     at_set_up = _only(judge_rules(_with_rules(distance, "ods"), _shots(ODS, _scatter(totals[0]))))
@@ -138,7 +123,7 @@ def test_decide_by_limit_applies_guard_band() -> None:
 @pytest.mark.release
 def test_judge_rules_ball_at_limit_conforms_once_in_44(distance: CampaignPlan) -> None:
     random, passed, count = np.random.default_rng(20261122), 0, 3000
-    plan = replace(distance, rules=replace(distance.rules, apply=("ods",), uncertainty={"total_m": 0.0}))
+    plan = with_values(distance, rules={"apply": ("ods",), "uncertainty": {"total_m": 0.0}})
     shots = [replace(s, carry_measured_error_m=None) for s in _shots(ODS, [320.0] * 12, source="simulated")]
     for _ in range(count):
         noise = iter(random.normal(0.0, 2.0, len(shots)))
@@ -147,22 +132,16 @@ def test_judge_rules_ball_at_limit_conforms_once_in_44(distance: CampaignPlan) -
     assert passed / count == pytest.approx(0.0228, abs=0.008)
 
 
-def test_judge_rules_judges_each_section_separately(configuration: Configuration) -> None:
-    plan = _with_rules(load_plan(Path("ten-balls"), configuration), "symmetry", "ods")
-    plan = replace(
-        plan,
-        design=replace(plan.design, balls=("a",), blocks=12),
-        rules=replace(plan.rules, uncertainty={"total_m": 1.0}),
-    )
+def test_judge_rules_judges_each_section_separately() -> None:
+    rules = {"apply": ("symmetry", "ods"), "uncertainty": {"total_m": 1.0}}
+    plan = shipped_plan("ten-balls", design={"balls": ("a",), "blocks": 12}, rules=rules)
     shots = [
         *_shots(ODS, _scatter(165.8), ball="a", section=1),
         *_shots(ROBOT, _scatter(209.7), ball="a", section=2),
     ]
     found = [one for one in judge_rules(plan, shots) if one.rule == "ods-2004"]
-    assert [(one.section, one.decision) for one in found] == [
-        (1, Decision.CONFORMS),
-        (2, Decision.NOT_JUDGED),
-    ]
+    assert [one.section for one in found] == [1, 2]
+    assert [one.decision for one in found] == [Decision.CONFORMS, Decision.NOT_JUDGED]
     assert [one.value for one in found] == pytest.approx([165.8, 209.7])
     assert "section 1 (" in found[0].words_in(UnitSystem.US)
 
@@ -176,9 +155,8 @@ def test_judge_rules_date_selects_rule_set(distance: CampaignPlan) -> None:
     assert rule_on("ods", date(1990, 1, 1)) is None
     later = judge_rules(distance, _shots(ODS, _scatter(300.0), when=datetime(2031, 5, 1, tzinfo=UTC)))
     assert [one.rule for one in later] == ["ods-2030"], "the family's set of that day, once"
-    early = _only(
-        judge_rules(_with_rules(distance, "ods-2030"), _shots((81.8, 11.0, 2200.0), _scatter(300.0)))
-    )
+    shots = _shots((81.8, 11.0, 2200.0), _scatter(300.0))
+    early = _only(judge_rules(_with_rules(distance, "ods-2030"), shots))
     assert early.decision is Decision.CONFORMS
     assert "Not in force on 2026-11-22: 2030-01-01" in early.words_in(UnitSystem.US)
 
@@ -203,10 +181,9 @@ def test_judge_rules_not_judged_reports_reason(
 
 
 def test_judge_rules_unstated_uncertainty_is_reported(distance: CampaignPlan) -> None:
-    plan = replace(distance, rules=replace(distance.rules, apply=("ods",), uncertainty={}))
-    assert "the uncertainty of total_m is not stated" in _only(
-        judge_rules(plan, _shots(ODS, _scatter(300.0)))
-    ).words_in(UnitSystem.US)
+    plan = with_values(distance, rules={"apply": ("ods",), "uncertainty": {}})
+    found = _only(judge_rules(plan, _shots(ODS, _scatter(300.0))))
+    assert "the uncertainty of total_m is not stated" in found.words_in(UnitSystem.US)
 
 
 def test_judge_rules_unfinished_section_is_not_judged(distance: CampaignPlan) -> None:
@@ -223,8 +200,8 @@ def test_judge_rules_initial_velocity_is_not_judged(distance: CampaignPlan) -> N
 
 
 def test_judge_rules_control_ball_figures_set_ball_speed(distance: CampaignPlan) -> None:
-    own = replace(distance.set_up, control_restitution=0.82, control_contact_time=430e-6)
-    plan = replace(_with_rules(distance, "ods"), set_up=own)
+    own = {"control_restitution": 0.82, "control_contact_time": 430e-6}
+    plan = with_values(_with_rules(distance, "ods"), set_up=own)
     assert control_ball_speed(0.82, 430e-6) == pytest.approx(80.17, abs=0.01)
     slow = _only(judge_rules(plan, _shots(ODS, _scatter(300.0))))
     assert "ball speed 78.7 m/s, rule 80.2 ± 0.5 m/s" in slow.words_in(UnitSystem.US)
@@ -247,8 +224,8 @@ def test_judge_rules_repeated_hits_widen_uncertainty(distance: CampaignPlan) -> 
     assert few.uncertainty > 1.2 * many.uncertainty
 
 
-def test_judge_rules_symmetry_compares_within_section(configuration: Configuration) -> None:
-    plan = load_plan(Path("symmetry"), configuration)
+def test_judge_rules_symmetry_compares_within_section() -> None:
+    plan = shipped_plan("symmetry")
     pole = _shots(ODS, _scatter(260.0), ball="pole", source="monitor")
     for gap, decision in ((1.0, Decision.CONFORMS), (9.0, Decision.FAILS)):
         seam = _shots(ODS, _scatter(260.0 - gap), ball="seam", source="monitor")
@@ -260,12 +237,10 @@ def test_judge_rules_symmetry_compares_within_section(configuration: Configurati
 
 
 def test_findings_record_holds_rule_decisions(distance: CampaignPlan) -> None:
-    record = findings_record(findings(distance, _shots(ROBOT, _scatter(250.0))))
-    assert [(r["rule"], r["decision"]) for r in record["rules"]] == [
-        ("ods-2004", "not judged"),
-        ("ods-2030", "not judged"),
-    ]
-    assert record["rules"][0]["value"] == pytest.approx(250.0)
+    rules = findings_record(findings(distance, _shots(ROBOT, _scatter(250.0))))["rules"]
+    assert [rule["rule"] for rule in rules] == ["ods-2004", "ods-2030"]
+    assert {rule["decision"] for rule in rules} == {"not judged"}
+    assert rules[0]["value"] == pytest.approx(250.0)
 
 
 def test_flight_model_matches_overall_distance_standard() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,28 +13,25 @@ import numpy as np
 import pytest
 from sqlalchemy import Engine
 
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.run import corrections
 from bench.campaign.run.corrections import CampaignCorrections, Drift
 from bench.campaign.run.runner_control import new_entry
-from bench.config import database_url, load_configuration
+from bench.config import database_url
 from bench.learning.learn import LearningProblem, Swinger
 from bench.learning.store import Conditions, Learned, keep, learned_swings
 from bench.store.database import open_database
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from tests.bench.campaign.as_designed import AsDesigned
+from tests.bench.campaign.plans import NOW, SHIPPED, shipped_plan
 
-NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
-CONFIGURATION = load_configuration(Path("shipped"))
-PLAN = load_plan(Path("symmetry"), CONFIGURATION)
+PLAN = shipped_plan("symmetry")
 ARM = ("default", "driver")
 PROFILE = load_profile(find_profile("default"))
 PROFILES = {ARM: PROFILE}
 SIZE = basis_of(PROFILE).size
 DRIFT = Drift(ARM, "head speed has drifted by +2.0 tolerances")
-ENTRY = new_entry(PLAN, CONFIGURATION, NOW, simulated=True)
+ENTRY = new_entry(PLAN, SHIPPED, NOW, simulated=True)
 
 
 @pytest.fixture
@@ -44,24 +41,15 @@ def database(tmp_path: Path) -> Iterator[Engine]:
 
 
 def made(database: Engine, *, simulated: bool = True) -> CampaignCorrections:
-    return CampaignCorrections(replace(ENTRY, simulated=simulated), PLAN, CONFIGURATION, database, PROFILES)
+    return CampaignCorrections(replace(ENTRY, simulated=simulated), PLAN, SHIPPED, database, PROFILES)
 
 
 def stored(value: float, date: datetime, **changes: Any) -> Learned:
-    plant = CONFIGURATION.plant
+    plant = SHIPPED.plant
     plant = replace(plant, robot=replace(plant.robot, club=PLAN.clubs[ARM[1]]))
-    here = Conditions.of(PROFILE, plant, CONFIGURATION.air.temperature, plant)
-    learned = Learned(
-        CONFIGURATION.bench.id,
-        PROFILE.name,
-        date,
-        True,
-        "encoders+model",
-        here,
-        True,
-        (value,) * SIZE,
-        {"swings": [{}, {}]},
-    )
+    here = Conditions.of(PROFILE, plant, SHIPPED.air.temperature, plant)
+    source, weights, content = "encoders+model", (value,) * SIZE, {"swings": [{}, {}]}
+    learned = Learned(SHIPPED.bench.id, PROFILE.name, date, True, source, here, True, weights, content)
     return replace(learned, **changes)
 
 
@@ -119,7 +107,7 @@ def test_campaign_corrections_refresh_is_restored_on_resume(database: Engine, sc
     again.refresh(DRIFT, 29, school.robot)
     assert again.weights(ARM) == (0.2,) * SIZE
     assert len(school.lessons) == 2
-    assert len(learned_swings(database, CONFIGURATION.bench.id, PROFILE.name)) == 3
+    assert len(learned_swings(database, SHIPPED.bench.id, PROFILE.name)) == 3
 
 
 def test_campaign_corrections_correction_off_target_is_not_used(database: Engine, school: School) -> None:
@@ -127,11 +115,3 @@ def test_campaign_corrections_correction_off_target_is_not_used(database: Engine
     swings = made(database)
     assert "not relearned in 3 learning swings" in swings.refresh(DRIFT, 17, school.robot)
     assert swings.profile(ARM) is PROFILE
-
-
-def test_as_designed_learns_nothing(school: School) -> None:
-    swings = AsDesigned(PROFILES)
-    assert "as designed" in swings.refresh(DRIFT, 17, school.robot)
-    assert swings.profile(ARM) is swings.designed(ARM) is PROFILE
-    assert swings.weights(ARM) == ()
-    assert school.lessons == []

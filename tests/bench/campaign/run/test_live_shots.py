@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -38,13 +38,13 @@ from bench.campaign.run.live_shots import LiveShots, require_live
 from bench.campaign.run.plan_requirements import Profiles, require_swings
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
 from bench.campaign.run.shot_source import BlockingCondition, Suspended, Watcher
-from bench.config import Configuration, database_url, load_configuration
+from bench.config import database_url, load_configuration
 from bench.learning.store import learned_swings
 from bench.network.bench_service import ArmingBlock, CommandAnswer
 from bench.network.client import CommandRefused
 from bench.network.command import Verb
 from bench.network.lease import CAMPAIGN_HOLDER
-from bench.records.shot.shot import ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.shot.shot_message import ShotPublication, launch_to_json, shot_publication
 from bench.records.telemetry.record_file import SwingRecord, read_swing
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
@@ -57,6 +57,7 @@ from drivers.base import Launch
 from drivers.launch_monitor.record import LaunchRecord, MatchOutcome
 from sim.ball import Air, Ball
 from tests.bench.campaign.as_designed import AsDesigned
+from tests.bench.campaign.plans import SHIPPED, shipped_plan, with_values
 from tests.bench.campaign.test_notifications import webhook
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
@@ -255,17 +256,15 @@ def a_step() -> Step:
     return Step(PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
 
 
-@cache
-def shipped() -> tuple[Configuration, CampaignPlan, Profiles]:
-    """Return the shipped configuration, a plan for it, and its profiles, assessed once for all tests."""
-    configuration = load_configuration(Path("shipped"))
-    plan = load_plan(Path("two-balls"), configuration)
-    return configuration, plan, require_swings(plan, configuration)
-
-
 @pytest.fixture
 def plan() -> CampaignPlan:
-    return shipped()[1]
+    return shipped_plan("two-balls")
+
+
+@cache
+def assessed() -> Profiles:
+    """Return the profiles of the plan, assessed once for all tests."""
+    return require_swings(shipped_plan("two-balls"), SHIPPED)
 
 
 def with_free_air(profiles: Profiles) -> Profiles:
@@ -284,13 +283,11 @@ def shots_of(
     planned: bool = True,
 ) -> LiveShots:
     """Return shots of `bench`; if not `planned`, its profiles leave the air at the address as it comes."""
-    configuration, _, profiles = shipped()
-    if not planned:
-        profiles = with_free_air(profiles)
+    profiles = assessed() if planned else with_free_air(assessed())
     facts = {"launch_monitor": monitored}
-    entry = new_entry(plan, configuration, datetime.now(UTC), simulated=simulated, real_time=facts)
+    entry = new_entry(plan, SHIPPED, datetime.now(UTC), simulated=simulated, real_time=facts)
     return LiveShots(
-        *(replace(entry, id="me"), plan, AsDesigned(profiles), configuration.clubs, bench),
+        *(replace(entry, id="me"), plan, AsDesigned(profiles), SHIPPED.clubs, bench),
         interrupted=interrupted,
         aborted=never,
         air=lambda: air,
@@ -298,9 +295,8 @@ def shots_of(
 
 
 def take(plan: CampaignPlan, bench: Any, *, simulated: bool, interrupted: Any = never) -> Any:
-    step = a_step()
     with shots_of(plan, bench, simulated=simulated, interrupted=interrupted) as source:
-        return source.take(step, 1, 1)
+        return source.take(a_step(), 1, 1)
 
 
 @pytest.mark.parametrize("state", ["ESTOP", "FAULT", "SAFE", "ACCESS"])
@@ -333,7 +329,7 @@ def test_live_shots_interrupt_before_swing_prevents_swing(plan: CampaignPlan) ->
 
 
 def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
-    configuration, _, profiles = shipped()
+    profiles = assessed()
 
     def require(plan: CampaignPlan = plan, **status: Any) -> None:
         given: Any = {
@@ -345,7 +341,7 @@ def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
             "lease": None,
             "launch_monitor": None,
         }
-        require_live(plan, profiles, configuration.clubs, given | status)
+        require_live(plan, profiles, SHIPPED.clubs, given | status)
 
     require()
     require(series=False)
@@ -356,7 +352,7 @@ def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
     profiles = with_free_air(profiles)
     with pytest.raises(Refused, match=r"vents after each swing.*golfbench run --series"):
         require(series=False)
-    require(replace(plan, gate=replace(plan.gate, club_speed=4.0)), series=False)
+    require(with_values(plan, gate={"club_speed": 4.0}), series=False)
     with pytest.raises(Refused, match=r"held by Ann"):
         require(lease={"holder": "Ann", "seconds_left": 12.0})
     require(lease={"holder": "campaign two-balls-2026", "seconds_left": 12.0})  # of a runner that died
@@ -368,11 +364,10 @@ def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
         require(of_carry(plan, ""), driver="canopen", launch_monitor={"present": True})
     with pytest.raises(Refused, match=r"no aerodynamics of tour, range"):
         require(of_carry(plan, "measured"), driver="canopen", launch_monitor={"present": True})
-    by_hand = replace(plan, analysis=replace(plan.analysis, quantity="club_speed_mps"))
+    by_hand = with_values(plan, analysis={"quantity": "club_speed_mps"})
     with pytest.raises(Refused, match=r"magazine 0"):
         require(by_hand, driver="canopen")
-    by_hand = replace(by_hand, ball_handling=replace(plan.ball_handling, magazine=6))
-    require(by_hand, driver="canopen")
+    require(with_values(by_hand, ball_handling={"magazine": 6}), driver="canopen")
 
 
 def test_live_shots_no_ball_on_tee_fails_shot_without_swing(
@@ -454,30 +449,44 @@ def test_live_shots_not_vented_refusal_is_retried(
 
 
 def test_required_restart_other_profile_gives_bench_prompt(plan: CampaignPlan) -> None:
-    bench = StandingBench(profile="thesis", club="driver")
-    step = a_step()
-    wish = shots_of(plan, bench).required_restart(step)
+    other, same = (StandingBench(profile=name, club="driver") for name in ("thesis", "default"))
+    wish = shots_of(plan, other).required_restart(a_step())
     assert wish is not None
     assert wish.kind is PromptKind.BENCH
     assert "profile default" in wish.text
-    assert shots_of(plan, StandingBench(profile="default", club="driver")).required_restart(step) is None
+    assert shots_of(plan, same).required_restart(a_step()) is None
+
+
+class Doors(StandingBench):
+    """Grants access and locks the guard after some refusals; each request takes 25 s of its clock."""
+
+    def __init__(self, access: Iterable[Refusal] = (), secure: Iterable[Refusal] = (), **status: Any) -> None:
+        super().__init__(**status)
+        self._refusals = {Verb.ACCESS: iter(access), Verb.SECURE: iter(secure)}
+        self.clock = 0.0
+
+    def access(self) -> None:
+        self._request(Verb.ACCESS, "ACCESS")
+
+    def secure(self) -> None:
+        self._request(Verb.SECURE, "READY")
+
+    def _request(self, verb: Verb, state: str) -> None:
+        self.asked.append(verb)
+        self.clock += 25.0
+        if refusal := next(self._refusals[verb], None):
+            raise refused(verb, self._status["state"], refusal)
+        self._status["state"] = state
+
+
+def use_clock(monkeypatch: pytest.MonkeyPatch, bench: Doors) -> None:
+    """Let campaigns read the clock of `bench`."""
+    clock = SimpleNamespace(monotonic=lambda: bench.clock, sleep=time.sleep)
+    monkeypatch.setattr("bench.campaign.run.live_shots.time", clock)
 
 
 def test_live_shots_access_disarms_then_secures(plan: CampaignPlan) -> None:
-    class Doors(StandingBench):
-        """Refuses once, as its chambers are not empty yet."""
-
-        def access(self) -> None:
-            self.asked.append("access")
-            if self.asked.count("access") == 1:
-                raise refused(Verb.ACCESS, "READY", Refusal.NOT_VENTED)
-            self._status["state"] = "ACCESS"
-
-        def secure(self) -> None:
-            self.asked.append("secure")
-            self._status["state"] = "READY"
-
-    bench = Doors()
+    bench = Doors(access=[Refusal.NOT_VENTED])
     with shots_of(plan, bench) as source:
         source.grant_access(PromptKind.CLUB, print)
         assert bench.asked == ["disarm", "access", "access"]
@@ -489,16 +498,7 @@ def test_live_shots_access_disarms_then_secures(plan: CampaignPlan) -> None:
 
 def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan) -> None:
     refusals = [Refusal.GUARD, Refusal.GUARD, Refusal.LOCAL_RESET, Refusal.LOCAL_RESET]
-
-    class Doors(StandingBench):
-        """Locks once the guard is closed and the button was pressed."""
-
-        def secure(self) -> None:
-            if refusals:
-                raise refused(Verb.SECURE, "ACCESS", refusals.pop(0))
-            self._status["state"] = "READY"
-
-    bench = Doors(state="ACCESS")
+    bench = Doors(secure=refusals, state="ACCESS")
     asked: list[str] = []
     with shots_of(plan, bench) as source:
         source.resume_after_access(PromptKind.CLUB, asked.append)
@@ -512,45 +512,19 @@ def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan)
 def test_resume_after_access_guard_open_suspends_after_one_minute(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = [0.0]
-
-    class Doors(StandingBench):
-        """Has an open guard."""
-
-        def secure(self) -> None:
-            now[0] += 25.0
-            raise refused(Verb.SECURE, "ACCESS", Refusal.GUARD)
-
-    monkeypatch.setattr(
-        "bench.campaign.run.live_shots.time", SimpleNamespace(monotonic=lambda: now[0], sleep=time.sleep)
-    )
-    with shots_of(plan, Doors(state="ACCESS")) as source, pytest.raises(Suspended):
+    bench = Doors(secure=repeat(Refusal.GUARD), state="ACCESS")
+    use_clock(monkeypatch, bench)
+    with shots_of(plan, bench) as source, pytest.raises(Suspended):
         source.resume_after_access(PromptKind.CLUB, print)
-    assert now[0] < 150.0
+    assert bench.clock < 150.0
 
 
 def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = [0.0]
-
-    class Gauged(StandingBench):
-        """Unlocks once a person has read the gauges, after minutes."""
-
-        def access(self) -> None:
-            now[0] += 25.0
-            if now[0] < 250.0:
-                raise refused(Verb.ACCESS, "READY", Refusal.GAUGE if now[0] > 25.0 else Refusal.NOT_VENTED)
-            self._status["state"] = "ACCESS"
-
-        def secure(self) -> None:
-            self._status["state"] = "READY"
-
-    asked: list[str] = []
-    monkeypatch.setattr(
-        "bench.campaign.run.live_shots.time", SimpleNamespace(monotonic=lambda: now[0], sleep=time.sleep)
-    )
-    with shots_of(plan, Gauged(), simulated=False) as source:
+    bench, asked = Doors(access=[Refusal.NOT_VENTED, *[Refusal.GAUGE] * 8]), list[str]()
+    use_clock(monkeypatch, bench)
+    with shots_of(plan, bench, simulated=False) as source:
         source.grant_access(PromptKind.CLUB, asked.append)
         assert source.work_before_arming() == ""
         source.resume_after_access(PromptKind.CLUB, print)
@@ -565,15 +539,6 @@ def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
 
 @pytest.mark.parametrize("simulated", [False, True])
 def test_work_before_arming_access_of_earlier_run_opens_supply(plan: CampaignPlan, simulated: bool) -> None:
-    class Doors(StandingBench):
-        """Locks the guard."""
-
-        def access(self) -> None:
-            self._status["state"] = "ACCESS"
-
-        def secure(self) -> None:
-            self._status["state"] = "READY"
-
     with shots_of(plan, Doors(state="ACCESS"), simulated=simulated) as source:
         for earlier in (True, False):
             source.grant_access(PromptKind.CLUB, print)
@@ -613,7 +578,7 @@ def test_hindrance_missing_monitor_blocks_and_disabled_monitor_suspends(
 def test_hindrance_checks_supply_only_at_address(
     plan: CampaignPlan, state: str, phase: str, pressure: float | None, least: float, hindered: bool
 ) -> None:
-    plan = replace(plan, supply=replace(plan.supply, min_pressure_ratio=least))
+    plan = with_values(plan, supply={"min_pressure_ratio": least})
     bench = StandingBench(state=state, phase=phase, supply_pressure_pa=pressure)
     found = shots_of(plan, bench).hindrance(a_step())
     assert (found is not None) == hindered
@@ -624,8 +589,7 @@ def test_hindrance_checks_supply_only_at_address(
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launch]:
     """Return the record of a swing that struck the ball, and the launch."""
-    c, _, profiles = shipped()
-    profile = profiles["default", "driver"]
+    c, profile = SHIPPED, assessed()["default", "driver"]
     robot = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
     swing = simulate_swing(robot, Ball())
     assert swing.launch is not None
@@ -648,22 +612,27 @@ def reported(launch: Launch, carry: float | None) -> ShotPublication:
 
 def of_carry(plan: CampaignPlan, carry: Any) -> CampaignPlan:
     """Return `plan` that compares this carry."""
-    return replace(plan, analysis=replace(plan.analysis, carry=carry))
+    return with_values(plan, analysis={"carry": carry})
+
+
+def monitored_shot(
+    plan: CampaignPlan, swing: SwingRecord, launch: Launch, carry: float | None = None, air: Air | None = None
+) -> Shot:
+    """Return the shot of a real bench with this record, of which a launch monitor reported `launch`."""
+    source = shots_of(plan, StandingBench(), simulated=False, monitored=True, air=air)
+    return source._taken(a_step(), 1, 1, swing, reported(launch, carry)).shot
 
 
 def test_live_shots_reference_carry_uses_measured_air(
     plan: CampaignPlan, record: tuple[SwingRecord, Launch]
 ) -> None:
-    c, (swing, launch) = shipped()[0], record
     carries, temperatures = [], []
-    for air in (None, c.air, Air(263.15)):
-        bench = StandingBench()
-        source = shots_of(of_carry(plan, "reference"), bench, simulated=False, monitored=True, air=air)
-        shot = source._taken(a_step(), 1, 1, swing, reported(launch, None)).shot
+    for air in (None, SHIPPED.air, Air(263.15)):
+        shot = monitored_shot(of_carry(plan, "reference"), *record, air=air)
         assert shot.carry_m is not None
         carries.append(shot.carry_m)
         temperatures.append(shot.air_temperature_k)
-    assert temperatures == [None, c.air.temperature, 263.15]
+    assert temperatures == [None, SHIPPED.air.temperature, 263.15]
     assert carries[0] == carries[1]
     assert carries[2] < carries[1]  # cold air is dense
 
@@ -673,31 +642,25 @@ def test_live_shots_time_is_begin_of_swing(plan: CampaignPlan, record: tuple[Swi
     waited = np.concatenate([np.repeat(swing.cycles[:1], 3), swing.cycles])
     waited["time"][:3] -= (9.0, 8.0, 7.0)
     waited["state"] = np.repeat([State.ARMED, State.SWINGING], [3, len(swing.cycles)])
-    source = shots_of(plan, StandingBench(), simulated=False, monitored=True)
-    shot = source._taken(a_step(), 1, 1, swing._replace(cycles=waited), reported(launch, None)).shot
+    shot = monitored_shot(plan, swing._replace(cycles=waited), launch)
     assert shot.time_utc == swing.time_utc + timedelta(seconds=9.0)
 
 
 def test_live_shots_real_carry_ignores_planned_ball(
     plan: CampaignPlan, record: tuple[SwingRecord, Launch]
 ) -> None:
-    swing, launch = record
     shots = []
     for drag in (1.0, 0.5):
         balls = {name: replace(ball, drag_factor=drag) for name, ball in plan.balls.items()}
-        source = shots_of(replace(plan, balls=balls), StandingBench(), simulated=False, monitored=True)
-        shots.append(source._taken(a_step(), 1, 1, swing, reported(launch, 187.5)).shot)
+        shots.append(monitored_shot(replace(plan, balls=balls), *record, carry=187.5))
     assert shots[0] == shots[1]
     (shot, _) = shots
     assert (shot.carry_m, shot.carry_monitor_m, shot.carry_source) == (187.5, 187.5, "monitor")
     assert shot.carry_reference_m is not None
     assert (shot.carry_measured_m, shot.total_m, shot.flight_source) == (None, None, "")
-    source = shots_of(plan, StandingBench(), simulated=False, monitored=True)
-    silent = source._taken(a_step(), 1, 1, swing, reported(launch, None)).shot
-    assert (silent.status, silent.reason) == (
-        ShotStatus.EXCLUDED,
-        "no carry: the launch monitor reported none",
-    )
+    silent = monitored_shot(plan, *record)
+    assert silent.status is ShotStatus.EXCLUDED
+    assert silent.reason == "no carry: the launch monitor reported none"
 
 
 LOW_SUPPLY = """
@@ -925,7 +888,7 @@ class ArmableBench(StandingBench):
 def test_live_shots_arming_without_planned_air_adds_practice_swing(
     plan: CampaignPlan, series: bool, practice: bool, planned: bool, asked: list[str]
 ) -> None:
-    plan = replace(plan, warm_up=replace(plan.warm_up, practice=practice))
+    plan = with_values(plan, warm_up={"practice": practice})
     bench = ArmableBench(series=series)
     with shots_of(plan, bench, planned=planned) as source:
         for _ in range(2):

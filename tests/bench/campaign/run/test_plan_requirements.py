@@ -11,7 +11,6 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.base.errors import ExitCode, Refused
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.run.plan_requirements import (
     START_SERIES,
     free_space,
@@ -21,16 +20,13 @@ from bench.campaign.run.plan_requirements import (
     swings_of_other_clubs,
 )
 from bench.commands.cli import app
-from bench.config import load_configuration
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
-
-SHIPPED = load_configuration(Path("shipped"))
+from tests.bench.campaign.plans import SHIPPED, shipped_plan
 
 
 def test_needs_reports_disk_space_and_hand_work(tmp_path: Path) -> None:
-    plan = load_plan(Path("clubs"), SHIPPED)
-    plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=10))
+    plan = shipped_plan("clubs", ball_handling={"magazine": 10})
     found = needs(plan)
     assert found.bytes == 36 * 1_400_000
     fills = 3 + 4  # one for the warm-up of each club, then 36 shots
@@ -42,12 +38,11 @@ def test_needs_reports_disk_space_and_hand_work(tmp_path: Path) -> None:
 
 
 def test_needs_series_narrow_gate_without_planned_air_requires_series() -> None:
-    plan = load_plan(Path("two-balls"), SHIPPED)
     planned = load_profile(find_profile("default"))
     free = replace(planned, air=(), air_supply=0.0)
 
     def needed(gate: float, *profiles: Profile) -> bool:
-        return needs_series(replace(plan, gate=replace(plan.gate, club_speed=gate)), profiles)
+        return needs_series(shipped_plan("two-balls", gate={"club_speed": gate}), profiles)
 
     assert (needed(1.0, free), needed(2.5, free), needed(0.0, free)) == (True, False, False)
     assert (needed(1.0, planned), needed(1.0, planned, free)) == (False, True)
@@ -75,9 +70,9 @@ def test_campaign_check_lists_plan_keys_that_hardware_refuses(
 
 
 def test_swings_of_other_clubs_action_is_complete_command() -> None:
-    plan = load_plan(Path("two-balls"), SHIPPED)
+    plan = shipped_plan("two-balls", design={"clubs": ("mine",)})
     longer = replace(plan.clubs["driver"], name="mine", length_to_face=1.2)
-    mine = replace(plan, clubs=plan.clubs | {"mine": longer}, design=replace(plan.design, clubs=("mine",)))
+    mine = replace(plan, clubs=plan.clubs | {"mine": longer})
     (misfit,) = swings_of_other_clubs(mine, SHIPPED).values()
     assert "golfbench profile design mine.toml --club mine." in misfit.action
     assert '] mine = "mine.toml".' in misfit.action

@@ -4,54 +4,36 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import PlannedShot, all_trials
 from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign_terminal import ProgressScreen, campaign_bar, progress_lines, shot_line
-from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.rows import CampaignState
-
-NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
-CONFIGURATION = load_configuration(Path("shipped"))
+from tests.bench.campaign.plans import NOW, SHIPPED, row_of, shipped_plan
 
 
 @pytest.fixture(scope="module")
 def plan() -> CampaignPlan:
-    return load_plan(Path("clubs"), CONFIGURATION)
+    return shipped_plan("clubs")
 
 
 def _progress(plan: CampaignPlan) -> CampaignProgress:
     facts = {"driver": "canopen"}
-    return CampaignProgress(new_entry(plan, CONFIGURATION, NOW, simulated=False, real_time=facts), plan)
+    return CampaignProgress(new_entry(plan, SHIPPED, NOW, simulated=False, real_time=facts), plan)
 
 
 def _shot(trial: PlannedShot, number: int, seconds: float, status: ShotStatus = ShotStatus.VALID) -> Shot:
-    arm = trial.arm
-    return Shot(
-        number,
-        trial.block,
-        trial.position,
-        arm.club,
-        arm.ball,
-        status,
-        reason="" if status is ShotStatus.VALID else "no ball struck",
-        club_speed_mps=42.613,
-        carry_m=181.04,
-        time_utc=NOW + timedelta(seconds=seconds),
-        swing=arm.swing,
-        role=str(trial.role),
-        section=trial.section,
-        sample=3,
-    )
+    reason = "" if status is ShotStatus.VALID else "no ball struck"
+    when = NOW + timedelta(seconds=seconds)
+    columns = {"club_speed_mps": 42.613, "carry_m": 181.04, "time_utc": when}
+    return row_of(trial, number, 3, status=status, reason=reason, **columns)
 
 
 def test_campaign_progress_time_left_ignores_overnight_gap(plan: CampaignPlan) -> None:
@@ -134,7 +116,7 @@ def test_progress_screen_piped_prints_plain_lines(
 
 def test_progress_sends_json_with_each_change(plan: CampaignPlan) -> None:
     sent: list[str] = []
-    entry = new_entry(plan, CONFIGURATION, NOW, simulated=True, real_time={"driver": "sim"})
+    entry = new_entry(plan, SHIPPED, NOW, simulated=True, real_time={"driver": "sim"})
     told = CampaignProgress(entry, plan, lambda message: sent.append(json.dumps(message)))
     told.shot(_shot(all_trials(plan)[0], 1, 0.0))
     assert not sent, "shots of earlier runs are not sent"

@@ -24,10 +24,9 @@ from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError, Refused
 from bench.campaign.interruptions import changed
 from bench.campaign.plan.bench_setup import sample_for
-from bench.campaign.plan.gate import Centre
+from bench.campaign.plan.gate import Centre, outside
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
-from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
 from bench.campaign.run.campaign_control import ask, is_running, runner_lock
 from bench.campaign.run.corrections import Drift
 from bench.campaign.run.plan_requirements import Profiles, require_swings
@@ -40,8 +39,9 @@ from bench.campaign.run.runner_control import (
     run_start,
 )
 from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Taken, Watcher
-from bench.config import Configuration, database_url, load_configuration
+from bench.config import database_url
 from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore, StoredShot
@@ -49,10 +49,9 @@ from bench.store.database import open_database
 from bench.store.rows import CampaignEntry, CampaignRun, CampaignState, Hit
 from drivers.base import ACTUATORS
 from drivers.base.compiled import new_record
+from tests.bench.campaign.plans import NOW, SHIPPED, row_of, shipped_plan, with_values
 from tests.bench.running_postgres import running_postgres
 from tests.sampling import release_except
-
-NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 
 
 class Scripted(ShotSource):
@@ -72,7 +71,6 @@ class Scripted(ShotSource):
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
         self.taken.append((number, step, sample))
-        arm, trial = step.trial.arm, step.trial
         values: dict[str, Any] = {
             "club_speed_mps": 42.9,
             "attack_angle_deg": 2.0,
@@ -82,44 +80,27 @@ class Scripted(ShotSource):
             "carry_m": 180.0 + 0.1 * (number * 7 % 11),
             "ball_speed_mps": 62.0,
             "delivery_source": "simulated",
-            "status": ShotStatus.VALID,
-            "reason": "",
+            "time_utc": self.time_of(number),
         } | self.script(number)
-        shot = Shot(
-            number,
-            trial.block,
-            trial.position,
-            arm.club,
-            arm.ball,
-            time_utc=self.time_of(number),
-            swing=arm.swing,
-            role=str(trial.role),
-            section=trial.section,
-            attempt=step.attempt,
-            sample=sample,
-            **values,
-        )
-        from bench.records.telemetry.cycle_record import CYCLE
-
+        shot = row_of(step.trial, number, sample, step.attempt, **values)
         cycles = None if "jam" in shot.reason else new_record(CYCLE, 3)
         return Taken(shot, cycles, {"seed": 1}, shot.ball_speed_mps is not None)
 
 
+PLAN = shipped_plan("symmetry", design={"blocks": 3}, stop={"rule": "fixed"})
+
+
 @cache
-def base() -> tuple[CampaignPlan, Configuration, Profiles]:
-    """Return a shipped plan, the shipped configuration, and the profiles, assessed once for all tests."""
-    configuration = load_configuration(Path("shipped"))
-    plan = load_plan(Path("symmetry"), configuration)
-    plan = replace(plan, design=replace(plan.design, blocks=3), stop=replace(plan.stop, rule="fixed"))
-    return plan, configuration, require_swings(plan, configuration)
+def profiles() -> Profiles:
+    """Return the profiles of the plan, assessed once for all tests."""
+    return require_swings(PLAN, SHIPPED)
 
 
 class Bench:
     """A plan, a database and a runner a call."""
 
     def __init__(self, folder: Path, engine: Any, plan: CampaignPlan) -> None:
-        _, shipped, self.profiles = base()
-        self.configuration = replace(shipped, bench=replace(shipped.bench, data_dir=folder))
+        self.configuration = replace(SHIPPED, bench=replace(SHIPPED.bench, data_dir=folder))
         self.folder, self.plan = folder, plan
         self.store = CampaignStore(engine)
         begun = NOW + timedelta(seconds=len(self.store.entries()))
@@ -137,8 +118,7 @@ class Bench:
         runner = Runner(
             self.entry, self.plan, self.store, self.folder, source, self.watcher, batch, start=start
         )
-        lie = self.configuration.plant.robot.lie
-        return runner.run(course_of(self.plan, self.profiles, lie), interrupted)
+        return runner.run(course_of(self.plan, profiles(), SHIPPED.plant.robot.lie), interrupted)
 
     @property
     def shots(self) -> list[Shot]:
@@ -149,15 +129,7 @@ class Bench:
 def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Bench]]:
     monkeypatch.setattr("bench.store.database.BUSY_TIMEOUT", 0.1)
     with open_database(database_url("", tmp_path), NOW) as engine:
-        yield lambda **changes: Bench(tmp_path, engine, changed_plan(**changes))
-
-
-def changed_plan(**changes: Any) -> CampaignPlan:
-    """Return the plan with other values in some sections."""
-    plan, _, _ = base()
-    for name, values in changes.items():
-        plan = replace(plan, **{name: replace(getattr(plan, name), **values)})
-    return plan
+        yield lambda **changes: Bench(tmp_path, engine, with_values(PLAN, **changes))
 
 
 class Whole(NamedTuple):
@@ -173,7 +145,7 @@ class Whole(NamedTuple):
 
 def run_whole(folder: Path, source: Scripted) -> Whole:
     with open_database(database_url("", folder), NOW) as engine:
-        bench = Bench(folder, engine, changed_plan())
+        bench = Bench(folder, engine, PLAN)
         bench.run(source)
         return Whole(bench.store.shots(bench.entry.id), bench.store.hits(bench.entry.id))
 
@@ -223,17 +195,6 @@ def test_runner_delivery_outside_gate_is_excluded(make: Callable[..., Bench]) ->
 def test_runner_ball_flight_excludes_no_shot(make: Callable[..., Bench]) -> None:
     bench = make()
     assert bench.run(Scripted(lambda n: {"carry_m": 10.0 * n, "ball_speed_mps": 1.0 + n})).valid == 18
-
-
-def test_runner_unaccepted_delivery_source_is_excluded(make: Callable[..., Bench]) -> None:
-    bench = make(
-        gate={"sources": ("launch monitor",), "reference": "planned"},
-        warm_up={"at_most": 0},
-        design={"blocks": 1, "failures_in_a_row": 100},
-    )
-    bench.run(Scripted())
-    assert {s.status for s in bench.shots if s.block} == {ShotStatus.EXCLUDED}
-    assert "does not accept" in bench.shots[-1].reason
 
 
 def test_runner_warm_up_ends_at_stable_speed_or_suspends(make: Callable[..., Bench]) -> None:
@@ -318,16 +279,6 @@ def test_runner_obeys_stop_pause_and_abort(make: Callable[..., Bench]) -> None:
     assert (aborted.state, aborted.shots) == (CampaignState.ABORTED, 5)
 
 
-def test_runner_ctrl_c_keeps_shots_and_resumes(make: Callable[..., Bench]) -> None:
-    bench = make()
-    source = Scripted()
-    outcome = bench.run(source, lambda: len(source.taken) >= 7)
-    assert (outcome.state, len(bench.shots)) == (CampaignState.STOPPED, 7)
-    again = Scripted()
-    assert bench.run(again) == (CampaignState.FINISHED, "", 18, 18)
-    assert again.taken[0][0] == 8
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
     return run_whole(tmp_path_factory.mktemp("whole"), Scripted())
@@ -373,7 +324,7 @@ def test_runner_full_disk_keeps_shots_and_resumes(
 def test_runner_stored_shot_of_other_plan_is_refused(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.run(Scripted(), batch=4)
-    bench.plan = replace(bench.plan, design=replace(bench.plan.design, seed=99))
+    bench.plan = with_values(PLAN, design={"seed": 99})
     with pytest.raises(BenchError, match="do not belong to its plan"):
         bench.run(Scripted())
 
@@ -382,7 +333,7 @@ def test_require_resumable_other_plan_or_configuration_is_refused(make: Callable
     bench = make()
     state, configuration = CampaignState.STOPPED, bench.configuration
     require_resumable(bench.entry, state, configuration, bench.plan)
-    other = replace(bench.plan, design=replace(bench.plan.design, blocks=4))
+    other = with_values(PLAN, design={"blocks": 4})
     with pytest.raises(Refused, match="a different plan"):
         require_resumable(bench.entry, state, configuration, other)
     before = json.loads(json.dumps(bench.entry.configuration))
@@ -435,32 +386,24 @@ def test_runner_lock_allows_one_runner_per_campaign(make: Callable[..., Bench]) 
         ask(bench.store, bench.folder, name, "stop")
 
 
-def test_sample_for_selects_least_used_ball(make: Callable[..., Bench]) -> None:
-    from collections import Counter
-
-    plan = make(ball_handling={"samples": 3, "first_sample": 5, "hits": 2}).plan
+def test_sample_for_selects_least_used_ball() -> None:
+    plan = with_values(PLAN, ball_handling={"samples": 3, "first_sample": 5, "hits": 2})
     hits = Counter({Hit("ball", "pole", 5): 1, Hit("ball", "pole", 7): 2})
     trial = PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "pole"))
     assert sample_for(plan, trial, hits) == 6
     assert sample_for(plan, trial, Counter({Hit("ball", "pole", n): 2 for n in (5, 6, 7)})) is None
 
 
-def test_outside_unmeasured_figure_is_reported_only_with_centre(make: Callable[..., Bench]) -> None:
-    from bench.campaign.plan.gate import outside
-
-    bench = make()
-    source = Scripted(lambda _: {"club_speed_mps": None})
-    shot = source.take(Step(next(iter(_trials(bench.plan))), 1, Centre()), 1, 1).shot
-    club = bench.plan.clubs["driver"]
-    assert outside(shot, club, Centre(), bench.plan.gate) == ("", "")
-    found = outside(shot, club, Centre(club_speed=43.0), bench.plan.gate)
+def test_outside_unmeasured_figure_is_reported_only_with_centre() -> None:
+    shot, club = row_of(all_trials(PLAN)[0], 1, delivery_source="simulated"), PLAN.clubs["driver"]
+    assert outside(shot, club, Centre(), PLAN.gate) == ("", "")
+    found = outside(shot, club, Centre(club_speed=43.0), PLAN.gate)
     assert found == ("club_speed", "club speed not measured")
-
-
-def _trials(plan: CampaignPlan) -> Any:
-    from bench.campaign.plan.shot_sequence import all_trials
-
-    return all_trials(plan)
+    by_monitor = replace(PLAN.gate, sources=("launch monitor",))
+    assert outside(shot, club, Centre(), by_monitor) == (
+        "",
+        "delivery from simulated, which the plan does not accept",
+    )
 
 
 @pytest.mark.release

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.statistics.analysis import analyse, decide, interim_analysis
 from bench.campaign.statistics.block_model import fit_blocks, holm, repeatability, spread, variance_components
-from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from tests.bench.campaign.known_truth import Case, cases, rows_of
+from tests.bench.campaign.plans import NOW, compared, shipped_plan, with_values
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots, survey
 from tests.sampling import release_except
 
@@ -124,44 +121,39 @@ def test_spread_gives_known_intervals() -> None:
 
 @pytest.fixture(scope="module")
 def plan() -> CampaignPlan:
-    symmetry = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
-    return replace(symmetry, stop=replace(symmetry.stop, rule="fixed"))
+    return shipped_plan("symmetry", stop={"rule": "fixed"})
+
+
+def _named(plan: CampaignPlan, names: str, blocks: int) -> CampaignPlan:
+    """Return the plan with alike balls of these one-letter `names`."""
+    balls = {name: replace(next(iter(plan.balls.values())), name=name) for name in names}
+    return with_values(replace(plan, balls=balls), design={"balls": tuple(names), "blocks": blocks})
 
 
 def _verdict(plan: CampaignPlan, truth: Truth, seed: int) -> str:
-    result = analyse(plan, campaign_shots(plan, truth, seed), 1, "").confirmatory
-    assert result is not None
-    return result.pairs[0].verdict
+    return compared(plan, campaign_shots(plan, truth, seed), None).pairs[0].verdict
 
 
 @pytest.mark.slow
 def test_analyse_two_shots_of_each_alike_ball_rarely_differ(plan: CampaignPlan) -> None:
-    names = tuple("abcdef")
-    balls = {name: replace(next(iter(plan.balls.values())), name=name) for name in names}
-    six = replace(plan, balls=balls, design=replace(plan.design, balls=names, blocks=2))
-    wrong = 0
+    six, wrong = _named(plan, "abcdef", 2), 0
     for seed in range(60):
-        result = analyse(six, campaign_shots(six, Truth(drift=0.0), seed), 1, "").confirmatory
-        assert result is not None
-        wrong += any(pair.verdict in {"different", "both"} for pair in result.pairs)
+        pairs = compared(six, campaign_shots(six, Truth(drift=0.0), seed), None).pairs
+        wrong += any(pair.verdict in {"different", "both"} for pair in pairs)
     assert wrong <= 8  # 1 in 1,000 by chance at 5 %; 35 with a variance of its own for each ball
 
 
 @pytest.mark.parametrize("kept", [0, 2])
 def test_analyse_level_with_few_valid_shots_leaves_variances_of_others(plan: CampaignPlan, kept: int) -> None:
-    names = ("a", "b", "q", "z")
-    balls = {name: replace(next(iter(plan.balls.values())), name=name) for name in names}
-    four = replace(plan, balls=balls, design=replace(plan.design, balls=names, blocks=12))
+    four = _named(plan, "abqz", 12)
     every = campaign_shots(four, Truth(drift=0.0), 3)
     left_out = [shot.shot for shot in every if shot.ball == "z" and shot.role == "test"][kept:]
     shots = [replace(s, status=ShotStatus.EXCLUDED, reason="x") if s.shot in left_out else s for s in every]
-    result = analyse(four, shots, 1, "").confirmatory
-    assert result is not None
-    assert not result.pooled
+    assert not compared(four, shots, None).pooled
 
 
 def test_analyse_verdict_follows_difference_and_shot_count(plan: CampaignPlan) -> None:
-    small = replace(plan, design=replace(plan.design, blocks=4))
+    small = with_values(plan, design={"blocks": 4})
     assert _verdict(plan, Truth(sd=2.0, difference=6.0), 1) == "different"
     assert _verdict(plan, Truth(sd=2.0, difference=0.0), 1) == "same"
     assert _verdict(plan, Truth(sd=0.5, difference=1.5), 1) == "both"
@@ -176,13 +168,11 @@ def test_analyse_verdict_follows_difference_and_shot_count(plan: CampaignPlan) -
 
 def test_analyse_control_ball_removes_drift_within_blocks(plan: CampaignPlan) -> None:
     truth = Truth(sd=0.01, difference=1.0, drift=0.5)
-    shots, uncorrected = campaign_shots(plan, truth, 4), replace(plan.analysis, drift="none")
-    result = analyse(plan, shots, 1, "").confirmatory
-    raw = analyse(replace(plan, analysis=uncorrected), shots, 1, "").confirmatory
-    assert result is not None
+    shots = campaign_shots(plan, truth, 4)
+    result = compared(plan, shots, None)
+    raw = compared(with_values(plan, analysis={"drift": "none"}), shots, None)
     assert result.drift == pytest.approx(0.5, abs=0.01)
     assert result.pairs[0].difference == pytest.approx(1.0, abs=0.02)
-    assert raw is not None
     assert raw.sd > 10 * result.sd
 
 
@@ -218,40 +208,36 @@ def test_findings_few_shots_give_no_verdict(plan: CampaignPlan, keep: int) -> No
 
 
 def test_findings_shots_without_scatter_give_exact_difference(plan: CampaignPlan) -> None:
-    small = replace(plan, design=replace(plan.design, blocks=3))
-    found = findings(small, campaign_shots(small, Truth(sd=0.0, block=0.0, difference=1.0), 9))
-    assert found.sections[0].analysis.confirmatory is not None
-    assert found.sections[0].analysis.confirmatory.pairs[0].difference == pytest.approx(1.0)
+    small = with_values(plan, design={"blocks": 3})
+    shots = campaign_shots(small, Truth(sd=0.0, block=0.0, difference=1.0), 9)
+    assert compared(small, shots, None).pairs[0].difference == pytest.approx(1.0)
+    assert findings(small, shots).sections[0].verdicts[0].resolved
 
 
 def test_decide_follows_stopping_rule(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(sd=2.0), 10)
-    wide = replace(plan, stop=replace(plan.stop, rule="width", width=3.0))
-    narrow = replace(plan, stop=replace(plan.stop, rule="width", width=0.1))
+    wide, narrow = (with_values(plan, stop={"rule": "width", "width": width}) for width in (3.0, 0.1))
     assert decide(wide, shots)
     assert not decide(narrow, shots)
-    assert "same" in decide(replace(plan, stop=replace(plan.stop, rule="equivalence")), shots)
+    assert "same" in decide(with_values(plan, stop={"rule": "equivalence"}), shots)
     assert not decide(wide, shots[:4])
 
 
 def test_interim_analysis_uses_latest_planned_look() -> None:
-    symmetry = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
+    symmetry = shipped_plan("symmetry")
     shots = campaign_shots(symmetry, Truth(sd=1.5, difference=6.0), 1)
     ends = {block: max(n for n, s in enumerate(shots) if s.block == block) + 1 for block in (11, 12, 20)}
     assert interim_analysis(symmetry, shots[: ends[11]]) is None
     assert interim_analysis(symmetry, shots[: ends[12]]) is None
-    at_look = analyse(symmetry, shots[: ends[12]], 1, "", ()).confirmatory
-    assert at_look is not None
+    at_look = compared(symmetry, shots[: ends[12]])
     for taken in (ends[12] + 1, ends[20]):  # what came after the look is not in it
         assert interim_analysis(symmetry, shots[:taken]) == (12, at_look)
-    fixed = replace(symmetry, stop=replace(symmetry.stop, rule="fixed"))
-    assert interim_analysis(fixed, shots[: ends[20]]) is None
+    assert interim_analysis(with_values(symmetry, stop={"rule": "fixed"}), shots[: ends[20]]) is None
 
 
 def test_repeatability_excludes_warm_up() -> None:
-    when = datetime(2026, 1, 1, tzinfo=UTC)
     shots = [
-        Shot(n, n % 5, 1, "c", "b", ShotStatus.VALID, "", 40.0 + 0.1 * n, swing="s", time_utc=when)
+        Shot(n, n % 5, 1, "c", "b", ShotStatus.VALID, "", 40.0 + 0.1 * n, swing="s", time_utc=NOW)
         for n in range(20)
     ]
     (figure,) = repeatability(shots)["s", "c"]

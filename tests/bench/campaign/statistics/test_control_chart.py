@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role
 from bench.campaign.statistics.control_chart import NELSON, control_charts, nelson_signals
-from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
+from tests.bench.campaign.plans import row_of, shipped_plan
+
+PLAN = shipped_plan("symmetry")
 
 QUIET = [0.3, -0.4, 1.2, -1.3, 0.2, 0.6, -0.2, -1.1]
 PATTERNS = {
@@ -48,24 +47,9 @@ def test_nelson_signals_random_values_match_stated_run_length() -> None:
     assert 200_000 / len(single) == pytest.approx(370, rel=0.15)
 
 
-def _plan() -> CampaignPlan:
-    return load_plan(Path("symmetry"), load_configuration(Path("shipped")))
-
-
-def _control(number: int, carry: float | None, status: ShotStatus = ShotStatus.VALID) -> Shot:
-    return Shot(
-        number,
-        number,
-        1,
-        "driver",
-        "tour",
-        status,
-        "" if status is ShotStatus.VALID else "lost",
-        carry_m=carry,
-        ball_speed_mps=62.0 + 0.1 * (number % 3),
-        role="control",
-        time_utc=datetime(2026, 1, 1, tzinfo=UTC),
-    )
+def _control(number: int, carry: float) -> Shot:
+    trial = PlannedShot(Role.CONTROL, 1, number, 1, Arm("default", "driver", "tour"))
+    return row_of(trial, number, carry_m=carry, ball_speed_mps=62.0 + 0.1 * (number % 3))
 
 
 def test_control_charts_limits_come_from_moving_range() -> None:
@@ -73,19 +57,18 @@ def test_control_charts_limits_come_from_moving_range() -> None:
     shots = [_control(n, float(value)) for n, value in enumerate(values, 1)]
     shots[10] = replace(shots[10], status=ShotStatus.EXCLUDED, reason="lost", carry_m=300.0)
     shots[20] = replace(shots[20], carry_m=200.0)
-    carry, speed = control_charts(_plan(), shots)
+    carry, speed = control_charts(PLAN, shots)
     assert (carry.column, speed.column) == ("carry_m", "ball_speed_mps")
     assert carry.sd == pytest.approx(1.5, rel=0.12)
     assert 11 not in carry.shots
     assert 21 in carry.signals[1]
     drifted = [replace(shot, carry_m=(shot.carry_m or 0) + 0.02 * shot.shot) for shot in shots]
-    chart = control_charts(_plan(), drifted)[0]
+    chart = control_charts(PLAN, drifted)[0]
     assert chart.sd == pytest.approx(carry.sd, rel=0.02)
     assert {1, 2} <= chart.signals.keys()
 
 
 def test_control_charts_few_values_give_no_chart() -> None:
-    assert control_charts(_plan(), [_control(n, 183.0) for n in range(1, 8)]) == control_charts(_plan(), [])
-    assert control_charts(_plan(), []) == ()
-    same = control_charts(_plan(), [replace(_control(n, 183.0), ball_speed_mps=62.0) for n in range(1, 30)])
+    assert control_charts(PLAN, [_control(n, 183.0) for n in range(1, 8)]) == control_charts(PLAN, []) == ()
+    same = control_charts(PLAN, [replace(_control(n, 183.0), ball_speed_mps=62.0) for n in range(1, 30)])
     assert [chart.signals for chart in same] == [{}, {}]
