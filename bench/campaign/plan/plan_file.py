@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import fields, replace
 from datetime import date
 from pathlib import Path
@@ -140,10 +140,6 @@ def _completed(
     return done
 
 
-_SECTIONS = {"design.balls": "balls", "control.ball": "balls", "design.clubs": "clubs"}
-"""Section of the configuration that has the names of a key."""
-
-
 def _unknown_action(section: str, name: str, known: Mapping[str, Any]) -> str:
     """Return what to do about the `name` that `section` of plan and configuration lacks."""
     if variants := variants_with(section, name):
@@ -157,14 +153,14 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     if not CAMPAIGN_NAME.fullmatch(plan.campaign.name):
         found, wanted = format_value(plan.campaign.name), "small letters, digits and -"
         yield "campaign.name", found, wanted, "Rename it: the name is part of file names."
-    for key, names, known in (
-        ("design.balls", d.balls, balls),
-        ("control.ball", filter(None, (plan.control.ball,)), balls),
-        ("design.clubs", d.clubs, clubs),
+    for key, section, names, known in (
+        ("design.balls", "balls", d.balls, balls),
+        ("control.ball", "balls", filter(None, (plan.control.ball,)), balls),
+        ("design.clubs", "clubs", d.clubs, clubs),
     ):
         for name in names:
             if name not in known:
-                action = _unknown_action(_SECTIONS[key], name, known)
+                action = _unknown_action(section, name, known)
                 yield key, f"{format_value(name)}, unknown", f"one of {', '.join(known)}", action
     for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
         for name in names:
@@ -174,15 +170,10 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
         if not names or len(set(names)) < len(names):
             found, action = format_value(list(names)), f"Correct the list design.{key}."
             yield f"design.{key}", found, "at least one name, each once", action
+    yield from _unknown("swings", plan.swings, d.swings, "Add it to design.swings.")
     for swing, profiles in plan.swings.items():
-        if swing not in d.swings:
-            yield f"swings.{swing}", "a swing", f"one of {', '.join(d.swings)}", "Add it to design.swings."
-        for club in profiles.keys() - set(d.clubs):
-            wanted = f"a club of {', '.join(d.clubs)}"
-            yield f"swings.{swing}.{club}", "a profile", wanted, "Add it to design.clubs."
-    for club in plan.preparation.keys() - set(d.clubs):
-        wanted = f"one of {', '.join(d.clubs)}"
-        yield f"preparation.{club}", "a club", wanted, "Add it to design.clubs."
+        yield from _unknown(f"swings.{swing}", profiles, d.clubs, "Add it to design.clubs.")
+    yield from _unknown("preparation", plan.preparation, d.clubs, "Add it to design.clubs.")
     yield from _stop(plan)
     yield from _split(plan)
     if 0 < plan.interruption.restart_after <= d.seconds_per_shot:
@@ -206,6 +197,14 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     yield from _covariates(plan)
     yield from _rules(plan)
     yield from _particulars(plan)
+
+
+def _unknown(table: str, given: Iterable[str], known: Collection[str], action: str) -> Iterator[Mistake]:
+    """Yield an error for each key `given` in `table` that is not `known`."""
+    for name in given:
+        if name not in known:
+            wanted = f"one of {', '.join(known)}"
+            yield f"{table}.{name}", format_value(name), wanted, did_you_mean(name, known, action)
 
 
 def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -252,25 +251,18 @@ def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
     if bool(s.control_restitution) != bool(s.control_contact_time):
         missing = "control_contact_time" if s.control_restitution else "control_restitution"
         yield f"set_up.{missing}", "0", "both figures of the control ball, or neither", "Add it."
-    for name in plan.rules.uncertainty.keys() - set(get_args(Quantity)):
-        key, wanted = f"rules.uncertainty.{name}", f"one of {', '.join(get_args(Quantity))}"
-        yield key, "no quantity", wanted, "Correct the key below [rules.uncertainty]."
+    action = "Correct the key below [rules.uncertainty]."
+    yield from _unknown("rules.uncertainty", plan.rules.uncertainty, get_args(Quantity), action)
 
 
 def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
     known = (*plan.ball_names, *plan.design.clubs)
-    dates: dict[str, str] = {}
-    for name, item in plan.items.items():
-        if name not in known:
-            action = did_you_mean(name, known, "Correct the name in the plan.")
-            yield f"items.{name}", "an item", f"a ball or club of {', '.join(known)}", action
-        dates[f"items.{name}.received"] = item.received
+    yield from _unknown("items", plan.items, known, "Correct the name in the plan.")
+    dates = {f"items.{name}.received": item.received for name, item in plan.items.items()}
     for name, stated in plan.calibrations.items():
-        dates[f"calibrations.{name}.date"] = stated.date
-        dates[f"calibrations.{name}.due"] = stated.due
-        for quantity in stated.uncertainty.keys() - set(STATED):
-            key, wanted = f"calibrations.{name}.uncertainty.{quantity}", f"one of {', '.join(STATED)}"
-            yield key, "no quantity", wanted, "Correct the quantity in the plan."
+        dates |= {f"calibrations.{name}.date": stated.date, f"calibrations.{name}.due": stated.due}
+        table, action = f"calibrations.{name}.uncertainty", "Correct the quantity in the plan."
+        yield from _unknown(table, stated.uncertainty, STATED, action)
     for key, text in dates.items():
         if text and not _is_date(text):
             yield key, format_value(text), "a date such as 2026-11-21", "Write the date as YYYY-MM-DD."

@@ -88,9 +88,8 @@ def exclude_shot(
     if undo and not by_hand:
         raise Refused(place, "not excluded by hand", "one that is", "The report lists them.")
     if by_hand and not undo:
-        raise Refused(
-            place, "excluded by hand already", "a shot that counts", "Add --undo to let it count again."
-        )
+        action = "Add --undo to let it count again."
+        raise Refused(place, "excluded by hand already", "a shot that counts", action)
     if not undo and taken[shot].status is not ShotStatus.VALID:
         found = f"{taken[shot].status} already: {taken[shot].reason}"
         raise Refused(place, found, "a shot that counts", "Comment it with golfbench campaign mark.")

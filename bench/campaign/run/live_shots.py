@@ -106,12 +106,10 @@ def require_live(
         raise Refused(location, found, "a free bench", "Ask for it, or wait: golfbench status.")
     if not any(_fits(plan, club, profile, clubs, status) for (_, club), profile in profiles.items()):
         wanted = dict.fromkeys(f"{profiles[arm].name} with club {arm[1]}" for arm in profiles)
-        raise Refused(
-            f"{location}: design.swings and design.clubs",
-            f"{', '.join(wanted)}",
-            f"profile {status['profile']} with club {status['club']}, as loaded on bench {status['bench']}",
-            "Start the bench with that profile (golfbench run --profile) and club ([swing] club).",
-        )
+        loaded = f"profile {status['profile']} with club {status['club']}"
+        expected = f"{loaded}, as loaded on bench {status['bench']}"
+        action = "Start the bench with that profile (golfbench run --profile) and club ([swing] club)."
+        raise Refused(f"{location}: design.swings and design.clubs", ", ".join(wanted), expected, action)
     if status["driver"] == "sim":
         if needs_series(plan, profiles.values()) and not status["series"]:
             expected = "a bench that holds the address between swings"

@@ -231,9 +231,8 @@ def read_services(file: Path) -> list[Service]:
         import apprise
     except ImportError as error:
         action = 'Run pip install "golfbench[notify]", or leave notifications.file empty.'
-        raise BenchError(
-            "notifications.file", f"package apprise is not installed ({error})", "apprise", action
-        ) from error
+        found = f"package apprise is not installed ({error})"
+        raise BenchError("notifications.file", found, "apprise", action) from error
     log = logging.getLogger("apprise")
     log.propagate = False  # its texts may name a URL
     log.addHandler(logging.NullHandler())

@@ -342,12 +342,8 @@ class Runner:
         self._report("gap", words)
         return False
 
-    def _restart(self, course: Course, step: Step | Ending) -> Step:
+    def _restart(self, course: Course, step: Step) -> Step:
         """Restart the block of `step`; return its first step, or that of its warm-up."""
-        if isinstance(step, Ending):
-            raise BenchError(
-                f"campaign {self._entry.id}", "a restart after its end", "none", "Start a new campaign."
-            )
         trial = step.trial
         self._restarts[trial.section, trial.block] += 1
         self._block = []
