@@ -8,7 +8,7 @@ same next step.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from enum import StrEnum
 from itertools import product
 from typing import NamedTuple
@@ -239,6 +239,15 @@ def is_settled(plan: CampaignPlan, shot: Shot) -> bool:
     """Return whether `shot` settles its planned shot: it is valid, or was the last attempt."""
     tried = shot.status is ShotStatus.VALID or shot.attempt > plan.design.repeats
     return tried and shot.role != Role.WARM_UP
+
+
+def tests_by_level(plan: CampaignPlan, shots: Iterable[Shot]) -> dict[str, list[Shot]]:
+    """Return the test shots of each level of the compared factor, in the plan's order of levels."""
+    found: dict[str, list[Shot]] = {name: [] for name in levels(plan)}
+    for shot in shots:
+        if shot.role == Role.TEST:
+            found.get(getattr(shot, plan.design.compare), []).append(shot)
+    return found
 
 
 def looks_after(plan: CampaignPlan) -> frozenset[int]:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, stated_uncertainties
-from bench.campaign.plan.shot_sequence import Role, sections
+from bench.campaign.plan.plan import NAMES, CampaignPlan, stated_uncertainties
+from bench.campaign.plan.shot_sequence import sections, tests_by_level
 from bench.campaign.report.conformity import COVERAGE
 from bench.campaign.statistics.block_model import independent_codes, mean_error
 from bench.records.shot.shot import Shot, ShotStatus
@@ -79,12 +79,11 @@ def uncertainty_budgets(
     plan: CampaignPlan, shots: Sequence[Shot], calibrations: Mapping[str, Any], *, simulated: bool
 ) -> tuple[UncertaintyBudget, ...]:
     """Return the budgets of each section's levels; `calibrations` are those that the campaign began with."""
-    valid = [s for s in shots if s.status is ShotStatus.VALID and s.role == Role.TEST]
+    valid = [shot for shot in shots if shot.status is ShotStatus.VALID]
     found = []
     for section in sections(plan):
         mine = [shot for shot in valid if shot.section == section.number]
-        for level in levels(plan):
-            own = [shot for shot in mine if getattr(shot, plan.design.compare) == level]
+        for level, own in tests_by_level(plan, mine).items():
             for column in BUDGETED:
                 known = [shot for shot in own if getattr(shot, column) is not None]
                 if len(known) > 1:

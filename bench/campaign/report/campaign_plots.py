@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
-from bench.campaign.plan.plan import NAMES, CampaignPlan, levels
-from bench.campaign.plan.shot_sequence import Role
+from bench.campaign.plan.plan import NAMES, CampaignPlan
+from bench.campaign.plan.shot_sequence import Role, tests_by_level
 from bench.campaign.report.findings import DifferenceTable, Findings, SectionFindings
 from bench.campaign.report.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.statistics.analysis import SectionAnalysis, values_of
@@ -117,11 +117,6 @@ def _look(index: int, many: bool) -> dict[str, Any]:
     }
 
 
-def _by_level(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, list[Shot]]]:
-    tests = [shot for shot in shots if shot.role == Role.TEST]
-    return [(name, [s for s in tests if getattr(s, plan.design.compare) == name]) for name in levels(plan)]
-
-
 _FEW = 4
 """Max number of levels that one picture of landing points keeps apart."""
 _COLUMNS = 5
@@ -135,7 +130,7 @@ _PAIRED = (("ball_speed_mps", "carry_m"), ("launch_angle_deg", "spin_rpm"))
 def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
     """Return each level's landing points of valid and of other shots, (n, 2): offline, carry, m."""
     found = []
-    for name, mine in _by_level(plan, shots):
+    for name, mine in tests_by_level(plan, shots).items():
         flown = [s for s in mine if s.carry_m is not None and s.carry_side_m is not None]
         points = [
             np.array(
@@ -163,7 +158,7 @@ def _dispersion(
         _draw_landing(axes, landing, distance, many)
     if alone:
         for axes, columns in zip(panels[1:], _PAIRED, strict=True):
-            _draw_pairs(axes, _by_level(plan, shots), columns, units, many)
+            _draw_pairs(axes, tests_by_level(plan, shots).values(), columns, units, many)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
     pairs = ", carry against ball speed, and spin against launch angle" if alone else ""
     captions = {
@@ -180,13 +175,13 @@ def _dispersion(
 
 def _draw_pairs(
     axes: Axes,
-    by_level: Sequence[tuple[str, Sequence[Shot]]],
+    by_level: Iterable[Sequence[Shot]],
     columns: tuple[str, str],
     units: UnitSystem,
     many: bool,
 ) -> None:
     x, y = (display_unit(column, units) for column in columns)
-    for index, (_, mine) in enumerate(by_level):
+    for index, mine in enumerate(by_level):
         valid = [shot for shot in mine if shot.status is ShotStatus.VALID]
         rows = [row for shot in valid if None not in (row := [getattr(shot, column) for column in columns])]
         points = np.array(rows, dtype=float).reshape(-1, 2).T
@@ -294,12 +289,12 @@ def _levels(
 ) -> Picture:
     """Each level's shots with mean and interval, its scatter with interval, and the club speed delivered."""
     unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
-    fast, found = display_unit("club_speed_mps", units), _by_level(plan, shots)
+    fast, found = display_unit("club_speed_mps", units), tests_by_level(plan, shots)
     figure = styled(0.8 + 0.24 * max(len(found), 2))
     result, scatter, club = figure.subplots(1, 3, sharey=True, width_ratios=[1.6, 0.9, 1])
     many = len(shots) > _MANY
     bar = {"color": _INK, "marker": "|", "markersize": 12, "capsize": 4, "linewidth": 1.4}
-    for index, (_, mine) in enumerate(found):
+    for index, mine in enumerate(found.values()):
         style = _look(index, many) | {"markersize": 2.5}
         _, values = values_of(plan, mine)
         result.plot(unit.of(values), np.full(len(values), index) + _spread_out(len(values)), **style)
@@ -318,7 +313,7 @@ def _levels(
             fast.of(s.club_speed_mps) for s in mine if s.club_speed_mps and s.status is ShotStatus.VALID
         ]
         club.plot(speeds, np.full(len(speeds), index) + _spread_out(len(speeds)), **style)
-    result.set_yticks(range(len(found)), [level for level, _ in found])
+    result.set_yticks(range(len(found)), list(found))
     result.set_ylim(len(found) - 0.4, -0.6)
     level = f"{100 * plan.analysis.confidence:g} % interval"
     result.set(title=f"{name.capitalize()}: mean and {level}", xlabel=f"{name}, {unit.unit}")
@@ -347,7 +342,7 @@ def _drift(
     figure = styled(1.4)
     axes = figure.subplots()
     many = len(shots) > _MANY
-    for index, (_, mine) in enumerate(_by_level(plan, shots)):
+    for index, mine in enumerate(tests_by_level(plan, shots).values()):
         kept, values = values_of(plan, mine)
         if len(values):
             axes.plot([s.shot for s in kept], (values - values.mean()) / unit.size, **_look(index, many))

@@ -19,8 +19,8 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.plan.conformity_rules import UNITS_OF_RULES, RuleSet, rule_on
-from bench.campaign.plan.plan import FLOWN, CampaignPlan, SetUp, levels, stated_uncertainties
-from bench.campaign.plan.shot_sequence import Role, Section, sections
+from bench.campaign.plan.plan import FLOWN, CampaignPlan, SetUp, stated_uncertainties
+from bench.campaign.plan.shot_sequence import Role, Section, sections, tests_by_level
 from bench.campaign.report.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.statistics.sample_size import share_done
 from bench.records.shot.shot import Shot, ShotStatus
@@ -126,8 +126,7 @@ def judge_rules(
 def _judged(
     plan: CampaignPlan, section: Section, rule: RuleSet, shots: Sequence[Shot], day: date, units: UnitSystem
 ) -> list[RuleFinding]:
-    tests = [s for s in shots if s.role == Role.TEST and s.status is ShotStatus.VALID]
-    groups = {name: [s for s in tests if getattr(s, plan.design.compare) == name] for name in levels(plan)}
+    groups = tests_by_level(plan, (s for s in shots if s.status is ShotStatus.VALID))
     if rule.difference:
         return [_finding(plan, section, rule, shots, day, groups, units)]
     return [_finding(plan, section, rule, shots, day, {name: group}, units) for name, group in groups.items()]

@@ -19,7 +19,7 @@ import numpy as np
 
 from bench.base.json_schema import json_value
 from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, reference_level
-from bench.campaign.plan.shot_sequence import Role, sections
+from bench.campaign.plan.shot_sequence import Role, sections, tests_by_level
 from bench.campaign.report.conformity import RuleFinding, judge_rules
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.report.verdicts import Needed, Verdict, section_notes, section_verdicts
@@ -65,13 +65,9 @@ class LevelQuantities:
 
 def level_quantities(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[LevelQuantities, ...]:
     """Return all quantities of a section's levels, those of the control ball last."""
-    tests = [shot for shot in shots if shot.role == Role.TEST]
-    controls = [shot for shot in shots if shot.role == Role.CONTROL]
-    by_level: dict[str, list[Shot]] = {name: [] for name in levels(plan)}
-    for shot in tests:
-        by_level.get(getattr(shot, plan.design.compare), []).append(shot)
+    by_level = tests_by_level(plan, shots)
     found = [_quantities(plan, name, mine, control=False) for name, mine in by_level.items()]
-    if controls:
+    if controls := [shot for shot in shots if shot.role == Role.CONTROL]:
         found.append(_quantities(plan, plan.control.ball, controls, control=True))
     return tuple(found)
 

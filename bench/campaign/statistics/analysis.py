@@ -25,7 +25,7 @@ import numpy as np
 
 from bench.campaign.plan.gate import OUTSIDE
 from bench.campaign.plan.plan import CampaignPlan, levels
-from bench.campaign.plan.shot_sequence import Role, looks_after
+from bench.campaign.plan.shot_sequence import Role, looks_after, tests_by_level
 from bench.campaign.statistics.block_model import (
     Array,
     BlockFit,
@@ -187,10 +187,8 @@ def analyse(
 def _analysed(
     plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str, look: Look
 ) -> SectionAnalysis:
-    mine = [shot for shot in shots if shot.role != Role.WARM_UP]
-    tests = [shot for shot in mine if shot.role == Role.TEST]
-    controls = [shot for shot in mine if shot.role == Role.CONTROL]
-    names, factor = levels(plan), plan.design.compare
+    tests = [shot for shot in shots if shot.role == Role.TEST]
+    controls = [shot for shot in shots if shot.role == Role.CONTROL]
     confirmatory, fit = None, None
     if plan.control.ball and plan.analysis.drift == "linear":
         method = "drift removed by the control ball"
@@ -202,11 +200,11 @@ def _analysed(
     return SectionAnalysis(
         number,
         name,
-        tuple(_level(plan, level, [s for s in tests if getattr(s, factor) == level]) for level in names),
+        tuple(_level(plan, *each) for each in tests_by_level(plan, tests).items()),
         _level(plan, f"{plan.control.ball} (control)", controls) if controls else None,
         confirmatory,
         look,
-        tuple(map(float, values_of(plan, tests)[1])) if len(names) < 2 else (),
+        tuple(map(float, values_of(plan, tests)[1])) if len(levels(plan)) < 2 else (),
         _outliers(fit),
         _within(plan, tests, number, look),
     )

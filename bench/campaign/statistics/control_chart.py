@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from bench.campaign.plan.plan import CampaignPlan, levels
-from bench.campaign.plan.shot_sequence import Role
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.shot_sequence import Role, tests_by_level
 from bench.campaign.statistics.block_model import Array, Codes
 from bench.records.shot.shot import Shot, ShotStatus
 
@@ -60,16 +60,10 @@ class DispersionEllipse:
 def dispersion_ellipses(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[DispersionEllipse, ...]:
     """Return the ellipses of a section's levels that have `MIN_POINTS` valid landing points."""
     found = []
-    for name in levels(plan):
-        rows = [
-            (shot.carry_side_m, shot.carry_m, shot.sample)
-            for shot in shots
-            if shot.role == Role.TEST
-            and shot.status is ShotStatus.VALID
-            and getattr(shot, plan.design.compare) == name
-            and shot.carry_m is not None
-            and shot.carry_side_m is not None
-        ]
+    valid = (shot for shot in shots if shot.status is ShotStatus.VALID)
+    for name, mine in tests_by_level(plan, valid).items():
+        every = ((shot.carry_side_m, shot.carry_m, shot.sample) for shot in mine)
+        rows = [row for row in every if None not in row]
         if len(rows) >= MIN_POINTS:
             values = np.array(rows, dtype=float)
             ball = np.unique(values[:, 2], return_inverse=True)[1]
