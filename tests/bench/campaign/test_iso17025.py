@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.errors import BenchError, Refused
+from bench.base.errors import Refused
 from bench.campaign.plan.plan import ItemParticulars, StatedCalibration
 from bench.campaign.plan.plan_file import load_plan, plan_from_record
 from bench.campaign.report.campaign_record import CampaignRecord, load_record
@@ -16,11 +16,12 @@ from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
 from bench.campaign.report.report_tables import calibration_table, issue_report, item_table, particulars
 from bench.campaign.run.runner_control import new_entry
-from bench.config import database_url, load_configuration
+from bench.config import database_url
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.rows import CampaignRun, CampaignState, Event
-from tests.bench.campaign.report.test_campaign_report import NOW, _record, _words
+from tests.bench.campaign.plans import NOW, SHIPPED, with_values
+from tests.bench.campaign.report.test_campaign_report import _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -53,43 +54,21 @@ uncertainty = { ball_speed_mps = 0.1 }
 @pytest.fixture(scope="module")
 def record() -> CampaignRecord:
     record = _record("symmetry", Truth(sd=1.5, difference=6.0))
-    report = replace(
-        record.plan.report,
-        laboratory="Robot laboratory",
-        address="Hallway 1, Berlin",
-        customer="Ball maker Ltd",
-        deviations=("balls conditioned for 2 h",),
-    )
-    plan = replace(
-        record.plan,
-        report=report,
-        items={"pole": ItemParticulars("Maker X, lot 1234", "new", "2025-12-20")},
-        calibrations={"m": StatedCalibration("launch monitor", "no. 77", "certificate 1", due="2025-12-31")},
-    )
-    return replace(record, plan=plan)
+    report = {"laboratory": "Robot laboratory", "address": "Hallway 1, Berlin", "customer": "Ball maker Ltd"}
+    plan = with_values(record.plan, report=report | {"deviations": ("balls conditioned for 2 h",)})
+    items = {"pole": ItemParticulars("Maker X, lot 1234", "new", "2025-12-20")}
+    monitor = StatedCalibration("launch monitor", "no. 77", "certificate 1", due="2025-12-31")
+    return replace(record, plan=replace(plan, items=items, calibrations={"m": monitor}))
 
 
 def test_load_plan_reads_laboratory_items_and_calibrations(tmp_path: Path) -> None:
-    configuration = load_configuration(Path("shipped"))
     file = tmp_path / "signed.toml"
     file.write_text(PLAN)
-    plan = load_plan(file, configuration)
+    plan = load_plan(file, SHIPPED)
     assert plan.report.laboratory == "Robot laboratory"
     assert plan.items["tour"].received == "2025-12-20"
     assert plan.calibrations["monitor"].uncertainty == {"ball_speed_mps": 0.1}
     assert plan_from_record(plan.record(), "record") == plan
-    for wrong, location in (
-        ('received = "20.12.2025"', "items.tour.received"),
-        ('received = "2025-12-20"\n[items.tuor]', "items.tuor"),
-    ):
-        file.write_text(PLAN.replace('received = "2025-12-20"', wrong))
-        with pytest.raises(ExceptionGroup) as caught:
-            load_plan(file, configuration)
-        assert location in str(caught.value.exceptions)
-    file.write_text(PLAN.replace("ball_speed_mps = 0.1", "speed = 0.1"))
-    with pytest.raises(ExceptionGroup) as caught:
-        load_plan(file, configuration)
-    assert any(isinstance(fault, BenchError) for fault in caught.value.exceptions)
 
 
 def test_particulars_draft_states_known_and_missing_facts(record: CampaignRecord) -> None:
@@ -147,8 +126,7 @@ def test_calibration_table_shows_in_force_overdue_and_missing(record: CampaignRe
 def test_issue_report_numbers_issues_and_amendment_requires_reason(
     record: CampaignRecord, tmp_path: Path
 ) -> None:
-    configuration = load_configuration(Path("shipped"))
-    entry = new_entry(record.plan, configuration, NOW, simulated=True)
+    entry = new_entry(record.plan, SHIPPED, NOW, simulated=True)
     with open_database(database_url("", tmp_path)) as engine:
         store = CampaignStore(engine)
         store.begin(entry)

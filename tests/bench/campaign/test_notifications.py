@@ -14,7 +14,7 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.campaign.run.progress import Notifier, Service, notifying, read_services
-from bench.store.rows import CampaignEntry, CampaignState
+from bench.store.rows import CampaignState
 from tests.bench.store.test_campaigns import ENTRY
 
 HIDDEN = "k9-of-the-chat"
@@ -53,11 +53,6 @@ def webhook(refused: int = 0) -> Iterator[tuple[str, list[dict[str, str]], list[
         server.server_close()
 
 
-@pytest.fixture
-def campaign() -> CampaignEntry:
-    return ENTRY
-
-
 def url_file(folder: Path, text: str, mode: int = 0o600) -> Path:
     file = folder / "notify.urls"
     file.write_text(text)
@@ -66,32 +61,28 @@ def url_file(folder: Path, text: str, mode: int = 0o600) -> Path:
 
 
 def test_notifier_sends_states_for_operator_and_retries(
-    tmp_path: Path, campaign: CampaignEntry, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     said: list[str] = []
     with webhook(refused=1) as (url, bodies, paths):
         file = url_file(tmp_path, f"# the laboratory's chat\n\n{url}\n")
-        with notifying(str(file), campaign, said.append, waits=(0.0, 0.0)) as notifier:
+        with notifying(str(file), ENTRY, said.append, waits=(0.0, 0.0)) as notifier:
             notifier.standing(CampaignState.RUNNING, "")
             notifier.standing(CampaignState.WAITING, "Mount club driver-9 in place of driver.")
             notifier.standing(CampaignState.SUSPENDED, "5 shots in a row not valid")
             notifier.standing(CampaignState.STOPPED, "by Ctrl-C")
             notifier.standing(CampaignState.FINISHED, "")
-    name = f"golfbench {campaign.bench}: {campaign.name}"
+    name = f"golfbench {ENTRY.bench}: {ENTRY.name}"
     words = ("waits for a person", "is suspended", "is finished")
     assert [body["title"] for body in bodies] == [f"{name} {word}" for word in words]
-    assert bodies[0]["message"].splitlines() == [
-        "Mount club driver-9 in place of driver.",
-        f"campaign {campaign.id}",
-    ]
+    assert bodies[0]["message"] == f"Mount club driver-9 in place of driver.\ncampaign {ENTRY.id}"
     assert len(paths) == 4
     assert said == []
 
 
 def test_notifier_failed_service_reports_line_without_url(
     tmp_path: Path,
-    campaign: CampaignEntry,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
     caplog: pytest.LogCaptureFixture,
@@ -100,7 +91,7 @@ def test_notifier_failed_service_reports_line_without_url(
     said: list[str] = []
     with webhook(refused=9) as (url, _, paths):
         file = url_file(tmp_path, f"{url}\n")
-        with notifying(str(file), campaign, said.append, waits=(0.0, 0.0, 0.0)) as notifier:
+        with notifying(str(file), ENTRY, said.append, waits=(0.0, 0.0, 0.0)) as notifier:
             notifier.standing(CampaignState.FINISHED, "")
     assert len(paths) == 3
     (text,) = said
@@ -109,14 +100,14 @@ def test_notifier_failed_service_reports_line_without_url(
     assert HIDDEN not in text + shown.out + shown.err + caplog.text
 
 
-def test_notifier_hanging_service_does_not_block(campaign: CampaignEntry) -> None:
+def test_notifier_hanging_service_does_not_block() -> None:
     end, said = Event(), list[str]()
 
     def hangs(text: str, title: str) -> bool:
         end.wait(30.0)
         raise RuntimeError("no network")
 
-    notifier = Notifier(campaign, [Service("here", hangs)], said.append, waits=(0.0,))
+    notifier = Notifier(ENTRY, [Service("here", hangs)], said.append, waits=(0.0,))
     began = time.monotonic()
     for _ in range(200):
         notifier.standing(CampaignState.WAITING, "Fill the feeder.")
@@ -143,8 +134,8 @@ def test_read_services_invalid_file_is_refused_without_content(
     assert HIDDEN not in str(error.value)
 
 
-def test_notifying_without_file_sends_nothing(campaign: CampaignEntry) -> None:
-    with notifying("", campaign, print) as nobody:
+def test_notifying_without_file_sends_nothing() -> None:
+    with notifying("", ENTRY, print) as nobody:
         nobody.standing(CampaignState.FINISHED, "")
     with pytest.raises(BenchError, match="no such file"):
         read_services(Path("no-such-file"))

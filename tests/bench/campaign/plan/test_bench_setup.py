@@ -44,7 +44,7 @@ from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.rows import CampaignState, Hit, Prompt, PromptKind, places
 from tests.bench.campaign.plans import NOW, SHIPPED, row_of, shipped_plan, with_values
-from tests.bench.campaign.run.test_runner import Scripted
+from tests.bench.campaign.run.test_runner import JAM, Scripted, acting, cut_power
 
 PROFILES = dict[tuple[tuple[str, ...], tuple[str, ...]], Profiles]()
 """Assessed once for each swings and clubs of a plan."""
@@ -87,12 +87,21 @@ class Person:
     def hide(self) -> None:
         pass
 
+    def once_asked(self, series: Series, request: str) -> Callable[[], None]:
+        """Return the task to send `request` once a prompt is shown."""
+
+        def send() -> None:
+            self.seen.wait(30.0)
+            series.store.change(series.entry.id, requested=request)
+
+        return send
+
 
 class PowerCut(Person):
     """Ends the run while it waits."""
 
     def answered(self) -> bool:
-        raise RuntimeError("power cut")
+        cut_power()
 
 
 class Series:
@@ -195,12 +204,7 @@ def test_answer_from_other_terminal_continues_campaign(make: Callable[..., Serie
 @pytest.mark.parametrize("request_", ["stop", "abort"])
 def test_runner_stop_or_abort_while_waiting_keeps_prompt(make: Callable[..., Series], request_: str) -> None:
     series, person = make(), Person(times=0)
-
-    def asks() -> None:
-        person.seen.wait(30.0)
-        series.store.change(series.entry.id, requested=request_)
-
-    with beside(asks):
+    with beside(person.once_asked(series, request_)):
         outcome = series.run(Rig(), person)
     ended = {"stop": CampaignState.STOPPED, "abort": CampaignState.ABORTED}[request_]
     assert outcome.state is ended
@@ -261,12 +265,7 @@ def test_runner_prompt_met_before_resume_is_closed(make: Callable[..., Series]) 
     series, person = make(), Person(times=0, kinds=frozenset({PromptKind.BENCH}))
     rig = Rig(seen)
     rig.lacking = Preparation(PromptKind.BENCH, "Restart the bench.", {"profile": "slow"})
-
-    def asks() -> None:
-        person.seen.wait(30.0)
-        series.store.change(series.entry.id, requested="stop")
-
-    with beside(asks):
+    with beside(person.once_asked(series, "stop")):
         assert series.run(rig, person).state is CampaignState.STOPPED
     rig.lacking = None  # restarted meanwhile
     assert series.run(rig).state is CampaignState.FINISHED
@@ -281,9 +280,7 @@ def ten_shots(magazine: int) -> CampaignPlan:
 
 
 def test_runner_feeder_loads_in_order_and_refills_after_jam(make: Callable[..., Series]) -> None:
-    jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
-    plan = ten_shots(magazine=4)
-    series, rig = make(plan), Rig(lambda n: jam if n == 6 else {})
+    series, rig = make(ten_shots(magazine=4)), Rig(lambda n: JAM if n == 6 else {})
     assert series.run(rig, Person()).state is CampaignState.FINISHED
     taken = [(step.trial.arm.ball, sample) for _, step, sample in rig.taken]
     fills = {p.before_shot: [tuple(ball) for ball in p.content["balls"]] for p in series.prompts}
@@ -295,9 +292,8 @@ def test_runner_feeder_loads_in_order_and_refills_after_jam(make: Callable[..., 
 
 
 def test_runner_excluded_shot_prompts_feeder_reload(make: Callable[..., Series]) -> None:
-    plan = ten_shots(magazine=10)
-    series, person = make(plan), Person()
-    series.run(Rig(lambda n: {"club_speed_mps": 50.0} if n == 3 else {}), person)
+    series = make(ten_shots(magazine=10))
+    series.run(Rig(lambda n: {"club_speed_mps": 50.0} if n == 3 else {}), Person())
     assert [p.before_shot for p in series.prompts] == [1, 4]
     assert series.prompts[1].text.startswith("Empty the feeder, then fill it")
 
@@ -397,16 +393,11 @@ def test_runner_stop_while_person_is_at_robot_is_obeyed(make: Callable[..., Seri
 
 
 def test_runner_real_time_crash_prompts_feeder_reload(make: Callable[..., Series]) -> None:
-    def dies(number: int) -> dict[str, Any]:
-        if number == 3:
-            raise RuntimeError("power cut")
-        return {}
-
     plan = ten_shots(magazine=10)
     for real, asked in ((True, [1, 3]), (False, [1])):
         series = make(with_values(plan, campaign={"name": f"real-{int(real)}"}), real=real)
         with pytest.raises(RuntimeError):
-            series.run(Rig(dies), Person())
+            series.run(Rig(acting({3: cut_power})), Person())
         series.run(Rig(), Person())
         assert [p.before_shot for p in series.prompts] == asked
         assert series.prompts[-1].text.endswith("Check that club driver is mounted.")

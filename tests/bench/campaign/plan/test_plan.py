@@ -70,18 +70,10 @@ def test_load_plan_shipped_campaign_is_valid_and_swings_fit(name: str) -> None:
 
 
 def test_campaign_names_lists_shipped_examples() -> None:
-    assert set(campaign_names()) == {
-        "two-balls",
-        "ten-balls",
-        "clubs",
-        "clubs-split-plot",
-        "distance",
-        "symmetry",
-        "repeatability",
-        "bag",
-        "face-map",
-        "wedge",
-    }
+    assert campaign_names() == [
+        *("bag", "clubs", "clubs-split-plot", "distance", "face-map", "repeatability", "symmetry"),
+        *("ten-balls", "two-balls", "wedge"),
+    ]
     assert find_plan(Path("two-balls")) == EXAMPLES / "two-balls.toml"
 
 
@@ -130,6 +122,20 @@ def test_campaign_names_lists_shipped_examples() -> None:
             "rules.uncertainty.launch_angle_deg",
             "launch_angle_deg",
         ),
+        (('ball = "tour"', 'ball = "tour"\n[items.tuor]'), "items.tuor", "tuor"),
+        (
+            ('ball = "tour"', 'ball = "tour"\n[items.tour]\nreceived = "20.12.2025"'),
+            "items.tour.received",
+            "20.12.2025",
+        ),
+        (
+            (
+                'ball = "tour"',
+                'ball = "tour"\n[calibrations.m]\ninstrument = "x"\nuncertainty = {speed = 1.0}',
+            ),
+            "calibrations.m.uncertainty.speed",
+            "speed",
+        ),
     ],
 )
 def test_load_plan_mistake_reports_location(
@@ -138,6 +144,35 @@ def test_load_plan_mistake_reports_location(
     assert change[0] in TWO
     faults = _faults(tmp_path, configuration, TWO.replace(*change))
     assert found in faults[location].found
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "location", "found"),
+    [
+        ("symmetry", ('carry = "monitor"', 'carry = "reference"'), "analysis.carry", "pole and seam"),
+        (
+            "symmetry",
+            ('quantity = "carry_m"', 'quantity = "total_m"'),
+            "analysis.carry",
+            "total_m is compared",
+        ),
+        ("clubs-split-plot", ('compare = "club"', 'compare = "ball"'), "design.hits_per_mounting", "balls"),
+        ("clubs-split-plot", ("blocks = 5", "blocks = 1"), "design.blocks", "1"),
+        ("clubs-split-plot", ("[gate]", '[control]\nball = "tour"\n[gate]'), "control.ball", "tour"),
+    ],
+)
+def test_load_plan_mistake_in_shipped_plan_reports_location(
+    tmp_path: Path,
+    configuration: Configuration,
+    name: str,
+    change: tuple[str, str],
+    location: str,
+    found: str,
+) -> None:
+    text = (EXAMPLES / f"{name}.toml").read_text().replace(*change)
+    ((place, fault),) = _faults(tmp_path, configuration, text).items()
+    assert place == location
+    assert found in fault.found
 
 
 def test_reference_level_defaults_to_first_level(tmp_path: Path, configuration: Configuration) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
 from math import hypot, inf, radians
 from typing import Any
 
@@ -12,12 +11,13 @@ import pytest
 from scipy import stats
 
 from bench.campaign.plan.plan import CampaignPlan, StatedCalibration, stated_uncertainties
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role
 from bench.campaign.report.budget import UncertaintyBudget, flight_slopes, uncertainty_budgets
-from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot
 from drivers.base import Launch
 from sim.ball import Air
 from sim.flight import fly
-from tests.bench.campaign.plans import shipped_plan, with_values
+from tests.bench.campaign.plans import row_of, shipped_plan, with_values
 
 BENCH: dict[str, Any] = {
     "bench": {
@@ -55,14 +55,15 @@ def _plan(*calibrations: StatedCalibration) -> CampaignPlan:
 
 def _shots(carry_source: str = "monitor", seed: int = 1, off: float = 0.0) -> list[Shot]:
     random = np.random.default_rng(seed)
+    trials = [
+        PlannedShot(Role.TEST, 1, n // 2 + 1, 1, Arm("default", "driver", ("pole", "seam")[n % 2]))
+        for n in range(24)
+    ]
     return [
-        Shot(
-            n + 1,
-            n // 2 + 1,
-            1,
-            "driver",
-            ("pole", "seam")[n % 2],
-            ShotStatus.VALID,
+        row_of(
+            trial,
+            n,
+            sample=trial.block,
             club_speed_mps=42.6 + 0.02 * random.normal(),
             ball_speed_mps=62.0 + 0.1 * random.normal() + off,
             launch_angle_deg=12.0 + 0.2 * random.normal(),
@@ -70,11 +71,8 @@ def _shots(carry_source: str = "monitor", seed: int = 1, off: float = 0.0) -> li
             carry_m=180 + random.normal(),
             delivery_source="encoders+model",
             carry_source=carry_source,
-            swing="default",
-            sample=n // 2 + 1,
-            time_utc=datetime(2026, 1, 1, tzinfo=UTC),
         )
-        for n in range(24)
+        for n, trial in enumerate(trials, 1)
     ]
 
 

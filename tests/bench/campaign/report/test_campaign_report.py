@@ -9,7 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,11 @@ from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.run.runner import RunOutcome
 from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign_baseline import Band, check_baseline, junit_xml, read_baseline
-from bench.config import load_configuration
 from bench.records.shot.shot import ShotStatus
 from bench.store.rows import CampaignState, Event, Hit, Prompt, Standing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from tests.bench.campaign.plans import NOW, SHIPPED, with_values
 from tests.bench.swing.test_profile import FOLLOWED
 from tests.bench.web.chromium import launched
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
@@ -51,13 +51,10 @@ like = "tour"
 [clubs.driver-12]
 like = "driver"
 """
-NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 
 
 def _record(name: str, truth: Truth, blocks: int = 8) -> CampaignRecord:
-    configuration = load_configuration(Path("shipped"))
-    plan = load_plan(Path(name), configuration)
-    plan = replace(plan, design=replace(plan.design, blocks=blocks))
+    plan = with_values(load_plan(Path(name), SHIPPED), design={"blocks": blocks})
     shots = [
         replace(
             shot,
@@ -76,7 +73,7 @@ def _record(name: str, truth: Truth, blocks: int = 8) -> CampaignRecord:
         for n, shot in enumerate(campaign_shots(plan, truth, 1))
     ]
     shots[5] = replace(shots[5], status=ShotStatus.EXCLUDED, reason="the launch monitor saw <no> ball")
-    entry = new_entry(plan, configuration, NOW, simulated=True)
+    entry = new_entry(plan, SHIPPED, NOW, simulated=True)
     standing = Standing(CampaignState.FINISHED, "", "")
     events = [Event(NOW, 3, "guard", "guard opened")]
     return CampaignRecord(entry, standing, plan, shots, events, Counter({Hit("ball", "tour", 1): 4}))
@@ -176,10 +173,9 @@ def test_campaign_report_captions_state_only_drawn_items(
 
 
 def test_campaign_report_ends_with_appendices(text: str) -> None:
-    assert re.findall(r"<h2[^>]*>([^<]*)</h2>", text)[-3:] == [
-        "Appendix: all shots",
-        "Appendix: balls and clubs",
-        "Appendix: plan and configuration",
+    heads = re.findall(r"<h2[^>]*>([^<]*)</h2>", text)[-3:]
+    assert heads == [
+        f"Appendix: {part}" for part in ("all shots", "balls and clubs", "plan and configuration")
     ]
 
 
@@ -210,8 +206,7 @@ def test_campaign_report_names_followed_golfer_with_deviation(
 ) -> None:
     default = load_profile(find_profile("default"))
     profiles = {("default", "driver"): replace(default, golfer="Anna", followed=FOLLOWED)}
-    configuration = load_configuration(Path("shipped"))
-    entry = new_entry(record.plan, configuration, NOW, simulated=True, profiles=profiles)
+    entry = new_entry(record.plan, SHIPPED, NOW, simulated=True, profiles=profiles)
     followed = replace(record, entry=entry)
     words = _words(render_campaign_report(followed, found))
     assert words.count("Anna") == 2
@@ -446,11 +441,10 @@ def _browse(chromium: str, folder: Path, action: str, page: Path) -> subprocess.
 
 @pytest.mark.usefixtures("undrawn_here")
 def test_campaign_report_lists_prompts_with_operator(record: CampaignRecord) -> None:
-    asked = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
     prompts = [
-        Prompt(1, 1, "balls", "Fill the feeder in this order: tour 1.", {}, asked, asked, "Ann"),
-        Prompt(2, 4, "club", "Mount club iron.", {}, asked, asked, "simulation"),
-        Prompt(3, 7, "club", "Mount club wood.", {}, asked),
+        Prompt(1, 1, "balls", "Fill the feeder in this order: tour 1.", {}, NOW, NOW, "Ann"),
+        Prompt(2, 4, "club", "Mount club iron.", {}, NOW, NOW, "simulation"),
+        Prompt(3, 7, "club", "Mount club wood.", {}, NOW),
     ]
     real = replace(record, entry=replace(record.entry, simulated=False), prompts=prompts)
     page = _words(render_campaign_report(real, findings(real.plan, real.shots)))

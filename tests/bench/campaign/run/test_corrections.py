@@ -48,8 +48,10 @@ def stored(value: float, date: datetime, **changes: Any) -> Learned:
     plant = SHIPPED.plant
     plant = replace(plant, robot=replace(plant.robot, club=PLAN.clubs[ARM[1]]))
     here = Conditions.of(PROFILE, plant, SHIPPED.air.temperature, plant)
-    source, weights, content = "encoders+model", (value,) * SIZE, {"swings": [{}, {}]}
-    learned = Learned(SHIPPED.bench.id, PROFILE.name, date, True, source, here, True, weights, content)
+    source, weights = "encoders+model", (value,) * SIZE
+    learned = Learned(
+        SHIPPED.bench.id, PROFILE.name, date, True, source, here, True, weights, {"swings": [{}, {}]}
+    )
     return replace(learned, **changes)
 
 

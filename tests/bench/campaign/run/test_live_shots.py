@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -220,10 +220,11 @@ def test_campaign_sigterm_vents_bench_and_keeps_calibrations(tmp_path: Path) -> 
 
 
 class StandingBench:
-    """A bench with constant status; records requests."""
+    """A bench with constant status; records requests, of which it refuses some with an answer."""
 
-    def __init__(self, **status: Any) -> None:
+    def __init__(self, refusing: Mapping[str, CommandAnswer] | None = None, **status: Any) -> None:
         self.asked: list[str] = []
+        self._refusing = refusing or {}
         self._status = {
             "state": "READY",
             "phase": "STANDING",
@@ -248,7 +249,12 @@ class StandingBench:
         yield lambda: None
 
     def __getattr__(self, verb: str) -> Any:
-        return lambda *_: self.asked.append(verb)
+        def request(*_: Any) -> None:
+            self.asked.append(verb)
+            if verb in self._refusing:
+                raise CommandRefused("b", Verb(verb), self._refusing[verb])
+
+        return request
 
 
 def a_step() -> Step:
@@ -389,10 +395,6 @@ def answer_of(refusal: Refusal, state: str = "READY") -> CommandAnswer:
     return CommandAnswer(False, state, refusal.name, reason=fact, action=action)
 
 
-def refused(verb: Verb, state: str, refusal: Refusal) -> CommandRefused:
-    return CommandRefused("b", verb, answer_of(refusal, state))
-
-
 BLOCK = ArmingBlock(
     code=Block.CALIBRATION_MISSING,
     location="club driver of bench b",
@@ -400,15 +402,13 @@ BLOCK = ArmingBlock(
     expected="a calibration in force",
     action="golfbench calibrate club",
 )
+BLOCKED = CommandAnswer(False, "READY", "BLOCKED", content={"arming_blocks": [BLOCK]})
 
 
 @pytest.mark.parametrize(
     ("answer", "text"),
     [
-        (
-            CommandAnswer(False, "READY", "BLOCKED", content={"arming_blocks": [BLOCK]}),
-            "club driver of bench b never calibrated",
-        ),
+        (BLOCKED, "club driver of bench b never calibrated"),
         (answer_of(Refusal.READ_ONLY), REFUSAL_WORDS[Refusal.READ_ONLY][0]),
         (answer_of(Refusal.CORRECTION), REFUSAL_WORDS[Refusal.CORRECTION][0]),
     ],
@@ -417,14 +417,7 @@ BLOCK = ArmingBlock(
 def test_live_shots_arm_refusal_suspends_at_once(
     plan: CampaignPlan, answer: CommandAnswer, text: str
 ) -> None:
-    class Unarmed(StandingBench):
-        """Refuses to arm."""
-
-        def arm(self) -> None:
-            self.asked.append("arm")
-            raise CommandRefused("b", Verb.ARM, answer)
-
-    bench = Unarmed()
+    bench = StandingBench({"arm": answer})
     with pytest.raises(Suspended, match=re.escape(text)):
         take(plan, bench, simulated=True)
     assert bench.asked == ["arm"]
@@ -434,15 +427,7 @@ def test_live_shots_not_vented_refusal_is_retried(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.network.bench_operator.READY", 0.2)
-
-    class Venting(StandingBench):
-        """Its chambers never empty."""
-
-        def arm(self) -> None:
-            self.asked.append("arm")
-            raise refused(Verb.ARM, "READY", Refusal.NOT_VENTED)
-
-    bench = Venting()
+    bench = StandingBench({"arm": answer_of(Refusal.NOT_VENTED)})
     with pytest.raises(Suspended, match="not verified empty"):
         take(plan, bench, simulated=True)
     assert len(bench.asked) > 1
@@ -475,7 +460,7 @@ class Doors(StandingBench):
         self.asked.append(verb)
         self.clock += 25.0
         if refusal := next(self._refusals[verb], None):
-            raise refused(verb, self._status["state"], refusal)
+            raise CommandRefused("b", verb, answer_of(refusal, self._status["state"]))
         self._status["state"] = state
 
 

@@ -31,9 +31,8 @@ def _progress(plan: CampaignPlan) -> CampaignProgress:
 
 def _shot(trial: PlannedShot, number: int, seconds: float, status: ShotStatus = ShotStatus.VALID) -> Shot:
     reason = "" if status is ShotStatus.VALID else "no ball struck"
-    when = NOW + timedelta(seconds=seconds)
-    columns = {"club_speed_mps": 42.613, "carry_m": 181.04, "time_utc": when}
-    return row_of(trial, number, 3, status=status, reason=reason, **columns)
+    shot = row_of(trial, number, 3, status=status, reason=reason, club_speed_mps=42.613, carry_m=181.04)
+    return replace(shot, time_utc=NOW + timedelta(seconds=seconds))
 
 
 def test_campaign_progress_time_left_ignores_overnight_gap(plan: CampaignPlan) -> None:

@@ -15,7 +15,7 @@ from datetime import UTC, datetime, timedelta
 from functools import cache, reduce
 from operator import getitem
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import pytest
 from sqlalchemy import make_url
@@ -85,6 +85,24 @@ class Scripted(ShotSource):
         shot = row_of(step.trial, number, sample, step.attempt, **values)
         cycles = None if "jam" in shot.reason else new_record(CYCLE, 3)
         return Taken(shot, cycles, {"seed": 1}, shot.ball_speed_mps is not None)
+
+
+def acting(actions: Mapping[int, Callable[[], object]]) -> Callable[[int], dict[str, Any]]:
+    """Return a script that acts at some shots."""
+
+    def script(number: int) -> dict[str, Any]:
+        if number in actions:
+            actions[number]()
+        return {}
+
+    return script
+
+
+JAM = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+
+
+def cut_power() -> NoReturn:
+    raise RuntimeError("power cut")
 
 
 PLAN = shipped_plan("symmetry", design={"blocks": 3}, stop={"rule": "fixed"})
@@ -171,17 +189,9 @@ def test_runner_invalid_shot_is_repeated_within_limit(make: Callable[..., Bench]
     lost = {"status": ShotStatus.EXCLUDED, "reason": "the launch monitor saw no ball", "ball_speed_mps": None}
     outcome = bench.run(Scripted(lambda n: lost if n in {5, 8, 9, 10} else {}))
     assert outcome.state is CampaignState.FINISHED
-    attempts = [(s.shot, s.block, s.position, s.attempt) for s in bench.shots if s.block == 1]
-    assert attempts == [
-        (4, 1, 1, 1),
-        (5, 1, 2, 1),
-        (6, 1, 2, 2),
-        (7, 1, 3, 1),
-        (8, 1, 4, 1),
-        (9, 1, 4, 2),
-        (10, 1, 4, 3),
-        (11, 1, 5, 1),
-    ]
+    attempts = [(s.shot, s.position, s.attempt) for s in bench.shots if s.block == 1]
+    expected = [(1, 1), (2, 1), (2, 2), (3, 1), (4, 1), (4, 2), (4, 3), (5, 1)]
+    assert attempts == [(shot, *place) for shot, place in enumerate(expected, 4)]
 
 
 def test_runner_delivery_outside_gate_is_excluded(make: Callable[..., Bench]) -> None:
@@ -218,8 +228,7 @@ def test_runner_control_ball_speed_outside_tolerance_suspends(make: Callable[...
 
 def test_runner_consecutive_failures_suspend_and_resume_finishes(make: Callable[..., Bench]) -> None:
     bench = make()
-    jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
-    outcome = bench.run(Scripted(lambda n: jam if n >= 7 else {}))
+    outcome = bench.run(Scripted(lambda n: JAM if n >= 7 else {}))
     assert outcome.state is CampaignState.SUSPENDED
     assert outcome.reason == "5 shots in a row not valid, the last: feeder jam: no ball came"
     assert bench.store.shots(bench.entry.id)[-1].file == ""
@@ -251,12 +260,7 @@ def test_runner_obeys_stop_pause_and_abort(make: Callable[..., Bench]) -> None:
     bench = make()
 
     def asked(request: str, at: int) -> Callable[[int], dict[str, Any]]:
-        def script(number: int) -> dict[str, Any]:
-            if number == at:
-                bench.store.change(bench.entry.id, requested=request)
-            return {}
-
-        return script
+        return acting({at: lambda: bench.store.change(bench.entry.id, requested=request)})
 
     stopped = bench.run(Scripted(asked("stop", 6)))
     assert (stopped.state, stopped.shots) == (CampaignState.STOPPED, 6)
@@ -288,14 +292,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
 def test_runner_resume_after_any_shot_equals_single_run(
     make: Callable[..., Bench], at: int, whole: Whole
 ) -> None:
-    def dies(number: int) -> dict[str, Any]:
-        if number == at:
-            raise RuntimeError("power cut")
-        return {}
-
     broken = make(campaign={"name": "broken"})
     with pytest.raises(RuntimeError):
-        broken.run(Scripted(dies))
+        broken.run(Scripted(acting({at: cut_power})))
     assert len(broken.shots) == at - 1
     broken.run(Scripted())
     assert broken.shots == whole.shots
@@ -508,23 +507,14 @@ def test_runner_clock_set_back_restarts_block(make: Callable[..., Bench]) -> Non
 
 
 def test_runner_interruptions_are_stored_as_events(make: Callable[..., Bench]) -> None:
-    class Killed(BaseException):
-        pass
-
-    def dies(number: int) -> dict[str, Any]:
-        if number == 5:
-            raise Killed
-        return {}
-
     bench = make()
     before = datetime.now(UTC)
     for _ in range(2):
-        with pytest.raises(Killed):
-            bench.run(Scripted(dies), batch=1)
+        with pytest.raises(RuntimeError):
+            bench.run(Scripted(acting({5: cut_power})), batch=1)
     source = Scripted()
     bench.run(source, lambda: len(source.taken) == 2, batch=1)
-    lost = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
-    bench.run(Scripted(lambda _: lost), batch=1)
+    bench.run(Scripted(lambda _: JAM), batch=1)
     assert bench.run(Scripted()).state is CampaignState.FINISHED
     assert [(at, kind) for at, kind, _ in _events(bench)] == [
         (5, "killed"),
@@ -546,13 +536,12 @@ def test_runner_pause_and_stop_store_requester(make: Callable[..., Bench]) -> No
     bench = make()
     pausing = threading.Event()
 
-    def script(number: int) -> dict[str, Any]:
-        if number == 4:
-            ask(bench.store, bench.folder, bench.entry.id, "pause", "ann@lab")
-            pausing.set()
-        if number == 9:
-            ask(bench.store, bench.folder, bench.entry.id, "stop", "bob@office")
-        return {}
+    def pause() -> None:
+        ask(bench.store, bench.folder, bench.entry.id, "pause", "ann@lab")
+        pausing.set()
+
+    def stop() -> None:
+        ask(bench.store, bench.folder, bench.entry.id, "stop", "bob@office")
 
     def go_on() -> None:
         pausing.wait(20)
@@ -563,7 +552,7 @@ def test_runner_pause_and_stop_store_requester(make: Callable[..., Bench]) -> No
     helper = threading.Thread(target=go_on)
     helper.start()
     with runner_lock(bench.folder, bench.entry.id):
-        outcome = bench.run(Scripted(script), batch=1)
+        outcome = bench.run(Scripted(acting({4: pause, 9: stop})), batch=1)
     helper.join()
     assert outcome.reason == "stopped by request of bob@office"
     words = [text for _, _, text in _events(bench)]
@@ -574,19 +563,15 @@ def test_runner_pause_and_stop_store_requester(make: Callable[..., Bench]) -> No
 
 def test_runner_changed_software_or_bench_is_stored_as_event(make: Callable[..., Bench]) -> None:
     bench = make()
-    first = CampaignRun(
-        0, NOW, "ann", {"numpy": "2.4.5", "source": "aaa"}, {"club": "driver", "loop": {"cpu": 1}}
-    )
-    second = CampaignRun(
-        0, NOW, "bob", {"numpy": "2.4.6", "source": "bbb"}, {"club": "driver", "loop": {"cpu": 2}}
+    first, second = (
+        CampaignRun(0, NOW, by, {"numpy": numpy, "source": source}, {"club": "driver", "loop": {"cpu": cpu}})
+        for by, numpy, source, cpu in (("ann", "2.4.5", "aaa", 1), ("bob", "2.4.6", "bbb", 2))
     )
     source = Scripted()
     bench.run(source, lambda: len(source.taken) == 5, start=first)
     bench.run(source, lambda: len(source.taken) == 8, start=first)
     bench.run(source, start=second)
-    assert [
-        (at, kind, text) for at, kind, text in _events(bench) if kind in {"software", "configuration"}
-    ] == [
+    assert [event for event in _events(bench) if event[1] in {"software", "configuration"}] == [
         (9, "software", "software changed since run 2: numpy 2.4.5 → 2.4.6, source aaa → bbb"),
         (9, "configuration", "bench changed since run 2: loop.cpu 1 → 2"),
     ]
@@ -610,12 +595,7 @@ def test_runner_locked_database_is_retried_without_loss(
             held.pop().close()
 
     monkeypatch.setattr(bench.watcher, "say", release)
-
-    def script(number: int) -> dict[str, Any]:
-        if number == 5:
-            held.append(_hold(bench))
-        return {}
-
+    script = acting({5: lambda: held.append(_hold(bench))})
     assert bench.run(Scripted(script), batch=1) == (CampaignState.FINISHED, "", 18, 18)
     assert held == []
     assert [kind for _, kind, _ in _events(bench)] == ["database"]
@@ -625,15 +605,8 @@ def test_runner_database_locked_beyond_timeout_suspends(
     make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.campaign.run.runner._DATABASE_TIMEOUT", 0.2)
-    bench = make()
-    held = list[sqlite3.Connection]()
-
-    def script(number: int) -> dict[str, Any]:
-        if number == 5:
-            held.append(_hold(bench))
-        return {}
-
-    outcome = bench.run(Scripted(script), batch=1)
+    bench, held = make(), list[sqlite3.Connection]()
+    outcome = bench.run(Scripted(acting({5: lambda: held.append(_hold(bench))})), batch=1)
     held[0].close()
     assert outcome.state is CampaignState.SUSPENDED
     assert "the database was locked by another process for" in outcome.reason
@@ -658,13 +631,11 @@ def test_runner_restarted_database_server_is_retried_without_loss(
         bench.store = CampaignStore(engine)
         bench.store.begin(bench.entry)
 
-        def script(number: int) -> dict[str, Any]:
-            if number == 5:
-                server.stop()
-                threading.Timer(1.0, server.start).start()
-            return {}
+        def restart() -> None:
+            server.stop()
+            threading.Timer(1.0, server.start).start()
 
-        assert bench.run(Scripted(script), batch=1) == (CampaignState.FINISHED, "", 18, 18)
+        assert bench.run(Scripted(acting({5: restart})), batch=1) == (CampaignState.FINISHED, "", 18, 18)
         assert [shot.shot for shot in bench.shots] == list(range(1, 19))
         assert [kind for _, kind, _ in _events(bench)] == ["database"]
     assert any("out of reach" in text for text in heard)
@@ -707,9 +678,7 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("virtual_time")
-def test_runner_temporary_blocking_condition_suspends_then_continues(
-    make: Callable[..., Bench],
-) -> None:
+def test_runner_temporary_blocking_condition_suspends_then_continues(make: Callable[..., Bench]) -> None:
     bench, source, stood = make(), Unseen(), []
 
     class Noting(Watcher):
@@ -774,9 +743,7 @@ class ShortOfAir(Scripted):
 
 
 @pytest.mark.usefixtures("virtual_time")
-def test_runner_low_supply_waits_with_robot_armed(
-    make: Callable[..., Bench],
-) -> None:
+def test_runner_low_supply_waits_with_robot_armed(make: Callable[..., Bench]) -> None:
     bench, source = make(), ShortOfAir(5, 60.0)
     assert bench.run(source).state is CampaignState.FINISHED
     assert source.log == ["not now"]  # never vented: a vented bench does not see its supply
@@ -786,9 +753,7 @@ def test_runner_low_supply_waits_with_robot_armed(
 
 
 @pytest.mark.usefixtures("virtual_time")
-def test_runner_low_supply_beyond_timeout_suspends_and_rests(
-    make: Callable[..., Bench],
-) -> None:
+def test_runner_low_supply_beyond_timeout_suspends_and_rests(make: Callable[..., Bench]) -> None:
     bench, source = make(), ShortOfAir(1e9, 0.1)
     outcome = bench.run(source)
     assert outcome.state is CampaignState.SUSPENDED
