@@ -394,6 +394,8 @@ class Runner:
             return before
         self._withdrawn()
         prompt = self._prompt(wish, number, datetime.now(UTC))
+        done, self._done_by_itself = self._done_by_itself, []
+        self._store.add(self._entry, (), prompts=done)  # else a resumed run would give its numbers again
         self._store.ask(self._entry.id, prompt)
         return prompt
 

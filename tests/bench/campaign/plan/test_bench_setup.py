@@ -66,7 +66,8 @@ class Rig(Scripted):
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         self.doors.append(f"{kind} shut")
-        self.lacking = None
+        if kind is PromptKind.BENCH:
+            self.lacking = None
 
 
 class Person:
@@ -272,6 +273,19 @@ def test_runner_prompt_met_before_resume_is_closed(make: Callable[..., Series]) 
     assert set(states) == {CampaignState.RUNNING}
     assert rig.doors[:2] == ["bench open", "bench shut"]
     assert series.prompts[0].by == "no one: no longer needed"
+
+
+def test_runner_stopped_at_prompt_after_automatic_one_resumes(make: Callable[..., Series]) -> None:
+    series = make(with_values(clubs_plan(), design={"clubs": ("driver-9",)}))
+    rig, person = Rig(), Person(times=0, kinds=frozenset({PromptKind.BENCH}))
+    rig.lacking = Preparation(PromptKind.BENCH, "Restart the bench.", {"profile": "slow"})
+    with beside(person.once_asked(series, "stop")):
+        assert series.run(rig, person).state is CampaignState.STOPPED
+    assert series.run(rig, Person(kinds=person.kinds)).state is CampaignState.FINISHED
+    assert [(p.number, p.kind, p.by) for p in series.prompts] == [
+        (1, "club", "simulation"),
+        (2, "bench", "Ann"),
+    ]
 
 
 def ten_shots(magazine: int) -> CampaignPlan:
