@@ -27,7 +27,8 @@ from bench.records.shot.shot import ShotStatus
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.rows import CampaignState, Event, ShotExclusion
-from tests.bench.campaign.report.test_campaign_report import NOW, _record
+from tests.bench.campaign.plans import NOW
+from tests.bench.campaign.report.test_campaign_report import _record
 from tests.benchmarks.campaign_statistics import Truth
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -26,7 +26,8 @@ from bench.store.database import open_database
 from bench.store.rows import CampaignState, Prompt
 from bench.web.campaign_service import CampaignService
 from bench.web.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
-from tests.bench.campaign.report.test_campaign_report import NOW, _record
+from tests.bench.campaign.plans import NOW
+from tests.bench.campaign.report.test_campaign_report import _record
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.web.conftest import publishing
 from tests.bench.web.running_page import RunningPage, running_page

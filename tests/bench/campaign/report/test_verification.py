@@ -17,7 +17,8 @@ from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.report.verification import missing_records, verify_page
 from bench.store.campaigns import StoredShot
 from bench.store.rows import Event, Hit, ShotNote
-from tests.bench.campaign.report.test_campaign_report import NOW, _record
+from tests.bench.campaign.plans import NOW
+from tests.bench.campaign.report.test_campaign_report import _record
 from tests.benchmarks.campaign_statistics import Truth
 from tests.sampling import release_except
 
