@@ -346,7 +346,7 @@ def _hands_of_person(
     supply = configuration.plant.supply
     turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else by_program(regulator)
     person, gauge = (ask_mark, ask_gauge) if at_terminal() else (None, None)
-    return OperatorIO(turned_once(turn), say, person, act=lambda act: say(f"{act.text}."), gauge=gauge)
+    return OperatorIO(turned_once(turn), say, ask, person, act=lambda act: say(f"{act.text}."), gauge=gauge)
 
 
 def _mark_in(contacts: ContactMonitor, truth: PlantParameters) -> tuple[float, float] | None:

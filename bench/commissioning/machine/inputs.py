@@ -299,6 +299,8 @@ class OperatorIO(NamedTuple):
     regulator: Regulator
     say: Callable[[str], None] = lambda text: None
     """Says to a person what to do."""
+    confirm: Callable[[str], None] = lambda text: None
+    """Says to a person what to do, and waits until it is done."""
     person: Callable[[], Mark | None] | None = None
     """Asks a person at the club for the ball's mark; None: no person is there."""
     look: Callable[[], Mark | None] = lambda: None

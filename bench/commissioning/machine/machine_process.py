@@ -219,13 +219,15 @@ class LiveRobot:
     def face_mark(self, swing: SeriesSwing) -> Mark | None:
         """Return the mark that the ball of the last swing left on the face; None where it is not read.
 
-        A person who reads it gets access to the club meanwhile.
+        A person who reads it gets access to the club meanwhile, and opens a supply locked for it again.
         """
         if self._hands.person is None:
             return self._hands.look()
-        self._order("release_guard")
+        locked = self._order("release_guard")
         mark = self._hands.person()
         self._order("lock_guard")
+        if locked:
+            self._hands.confirm("Unlock and open the supply, turn the regulator to its pressure in service")
         return mark
 
     # Orders --------------------------------------------------------------------------------------------

@@ -209,8 +209,10 @@ class LiveSeries:
             return CAUSE_WORDS[cause][1]
         return stall_note(cycles[: first + 1], cause, lost, self._operator.period, fault)
 
-    def release_guard(self) -> None:
+    def release_guard(self) -> bool:
         """Bring the robot to rest and release the guard, for a person to come to the club.
+
+        Return whether the person locked the supply before, to read its gauges.
 
         Raises:
             Refused: the bench does not release it, and why.
@@ -219,7 +221,7 @@ class LiveSeries:
         if operator.phase is not Phase.STANDING:
             self._ask(Request.DISARM)
         operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
-        self._ask(Request.ACCESS, _ACCESS)
+        return self._ask(Request.ACCESS, _ACCESS)
 
     def lock_guard(self) -> None:
         """Lock the guard again, once it is closed; a swing then arms the robot.
@@ -285,12 +287,16 @@ class LiveSeries:
         if not operator.reach_address():
             raise stopped_by_operator()
 
-    def _ask(self, request: Request, timeout: float = _TIMEOUT) -> None:
-        """Request until it is accepted; Refused with its reason if it refuses after `timeout` (s)."""
-        operator, waited, called = self._operator, 0.0, False
+    def _ask(self, request: Request, timeout: float = _TIMEOUT) -> bool:
+        """Request until it is accepted; return whether a person locked the supply for it.
+
+        Refused with its reason if it refuses after `timeout` (s).
+        """
+        operator, waited, called, locked = self._operator, 0.0, False, False
         while not operator.request(request):
             refusal = Refusal(int(operator.control["refusal"][0]))
             person = refusal in (Refusal.LOCAL_RESET, Refusal.GAUGE)
+            locked |= refusal is Refusal.GAUGE
             if person and not called:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True
@@ -307,6 +313,7 @@ class LiveSeries:
             operator.advance(round(_AGAIN / operator.period))
             operator.begin_record(keep=_LAST)
             waited += _AGAIN
+        return locked
 
     def _tee_up(self, *, ball: bool) -> None:
         """Raise the next ball, or swing at none."""

@@ -21,7 +21,7 @@ import pytest
 
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
-from bench.base.lifecycle import Cause, Request, State
+from bench.base.lifecycle import REFUSAL_TEXT, Cause, Refusal, Request, State
 from bench.commissioning.machine.driver_machine import Stalled
 from bench.commissioning.machine.inputs import OperatorIO, of_simulation
 from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment
@@ -284,7 +284,7 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
     monkeypatch.setattr("bench.commissioning.machine.machine_server._PERSON", 2.0)
     server.obey("arm", bench_of(configuration, slow))
     server.obey("swing", slow, True)
-    server.obey("release_guard")
+    assert server.obey("release_guard") is False, "no gauge was read: the supply stays open"
     inside = driver.commands[-1]
     assert (inside.guard_lock, inside.supply_enable, inside.valve) == (False, False, (0.0, 0.0, 0.0))
     with SurroundingsWriter(tmp_path) as surroundings:
@@ -297,6 +297,52 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
         surroundings.change(guard_closed=True)
         server.obey("lock_guard")
     assert server.obey("swing", slow, True).cause is Cause.NONE
+
+
+@needs_speed
+@pytest.mark.timeout(600)
+def test_machine_server_release_guard_reports_supply_locked_for_gauges(
+    server: MachineServer,
+    said: list[str],
+    configuration: Configuration,
+    slow: Profile,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    request, read = SwingOperator.request, list[int]()
+
+    def refuse_until_read(operator: Any, which: int) -> bool:
+        if which == Request.ACCESS and not read:
+            read.append(which)
+            operator.control["refusal"] = Refusal.GAUGE
+            return False
+        return request(operator, which)
+
+    server.obey("arm", bench_of(configuration, slow))
+    monkeypatch.setattr(SwingOperator, "request", refuse_until_read)
+    assert server.obey("release_guard") is True
+    assert said == ["access: " + REFUSAL_TEXT[Refusal.GAUGE]]
+
+
+@pytest.mark.parametrize("locked", [False, True])
+def test_live_robot_face_mark_waits_until_locked_supply_is_open(
+    monkeypatch: pytest.MonkeyPatch, locked: bool
+) -> None:
+    done: list[str] = []
+
+    def order(robot: LiveRobot, which: str) -> bool:
+        done.append(which)
+        return locked
+
+    def mark() -> tuple[float, float]:
+        done.append("mark")
+        return (1.0, 2.0)
+
+    monkeypatch.setattr(LiveRobot, "_order", order)
+    hands = OperatorIO(lambda pressure: None, person=mark, confirm=done.append)
+    robot = LiveRobot(SimpleNamespace(), SimpleNamespace(), hands)  # type: ignore[arg-type]
+    assert robot.face_mark(SimpleNamespace()) == (1.0, 2.0)  # type: ignore[arg-type]
+    assert done[:3] == ["release_guard", "mark", "lock_guard"]
+    assert [text.startswith("Unlock and open the supply") for text in done[3:]] == [True] * locked
 
 
 @needs_speed
