@@ -102,7 +102,20 @@ class FaultRecord(NamedTuple):
     action: str
 
 
-_Part = TypeVar("_Part", DoneStep, FaultRecord, ParameterEstimate)
+class Resumption(NamedTuple):
+    """A continuation after an interruption."""
+
+    date: str
+    interrupted: str
+    """Date of the last state before it."""
+    repaired: str
+    """Parts repaired, replaced or adjusted in between, by the person who resumed."""
+
+
+NOTHING = "nothing"
+"""Statement that nothing was repaired."""
+
+_Part = TypeVar("_Part", DoneStep, FaultRecord, ParameterEstimate, Resumption)
 
 
 class _StoredState(TypedDict):
@@ -115,6 +128,8 @@ class _StoredState(TypedDict):
     robot: str
     done: tuple[DoneStep, ...]
     wrong: FaultRecord | None
+    resumed: tuple[Resumption, ...]
+    saved: str
 
 
 @dataclass
@@ -131,6 +146,9 @@ class Commissioning:
     """File of the robot that truly moved last, simulated; empty: the configured one."""
     done: list[DoneStep] = field(default_factory=list)
     wrong: FaultRecord | None = None
+    resumed: list[Resumption] = field(default_factory=list)
+    saved: str = ""
+    """Date of the stored state."""
 
     @property
     def values(self) -> list[ParameterEstimate]:
@@ -144,17 +162,20 @@ class Commissioning:
     def save(self) -> None:
         """Store the state, whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
+        self.saved = datetime.now(UTC).isoformat()
         content = {"version": _VERSION} | json_value(vars(self))
         del content["folder"]
         with atomic_file(self.folder / STATE_FILE) as stream:
             stream.write(json.dumps(content, indent=1).encode())
 
 
-def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume: bool) -> Commissioning:
-    """Return the commissioning in `folder`: a new one, or with `resume` the existing one.
+def begin(
+    folder: Path, configuration: Configuration, *, simulated: bool, repaired: str | None = None
+) -> Commissioning:
+    """Return the commissioning in `folder`: a new one, or with a statement of `repaired` the stored one.
 
-    Steps are repeated from the first one whose file is missing, and all of them after a machine fault: the
-    values may be those of a part that was replaced since. Nothing is written before its `save`.
+    Steps are repeated from the first one whose file is missing, and all of them after a machine fault or a
+    repair: the values may be those of a part that was replaced since. Nothing is written before its `save`.
 
     Raises:
         BenchError: one exists already, none exists to resume, it has another configuration, or robot.toml
@@ -162,10 +183,12 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
     """
     digest = robot_digest(configuration, simulated=simulated)
     path, file = folder / STATE_FILE, str(configuration.files[-1].resolve())
-    if resume:
+    if repaired is not None:
         state = read_state(folder)
+        state.resumed.append(Resumption(datetime.now(UTC).isoformat(), state.saved, repaired))
         measured = any(step.name != INPUT_CHECK.name for step in state.done)
-        kept = not state.wrong and (simulated or measured)
+        repeated = state.wrong or repaired.casefold() != NOTHING
+        kept = not repeated and (simulated or measured)
         if state.simulated != simulated or (state.digest != digest and kept):
             kind = "simulated" if state.simulated else "not simulated"
             expected = f"the robot and wiring of {state.configuration}, {kind}"
@@ -174,7 +197,7 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
         if state.digest != digest:
             state.digest, state.configuration = digest, file
         lost = (i for i, one in enumerate(state.done) if not (folder / _FILES.get(one.name, "")).exists())
-        state.done = state.done[: 0 if state.wrong else next(lost, None)]
+        state.done = state.done[: 0 if repeated else next(lost, None)]
         state.wrong = None
     else:
         if path.exists():
@@ -232,8 +255,9 @@ def read_state(folder: Path) -> Commissioning:
                 raise BenchError(place, repr(value.key), "a number below [plant]", action) from None
         done.append(_stored(DoneStep, step | {"values": values, "notes": tuple(step["notes"])}))
     wrong = None if content["wrong"] is None else _stored(FaultRecord, content["wrong"])
-    digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
-    return Commissioning(folder, digest, configuration, simulated, stored["robot"], done, wrong)
+    plain = {key: content[key] for key in ("digest", "configuration", "simulated", "robot", "saved")}
+    resumed = [_stored(Resumption, one) for one in content["resumed"]]
+    return Commissioning(folder, done=done, wrong=wrong, resumed=resumed, **plain)
 
 
 def _stored(kind: type[_Part], content: Mapping[str, Any]) -> _Part:

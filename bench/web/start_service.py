@@ -364,7 +364,7 @@ def _air(configuration: Configuration, now: datetime) -> dict[str, Any] | None:
 
 MAX_LISTED = 10
 """Max number of listed commissionings."""
-MAX_FOLDER_LENGTH = 121
+MAX_FOLDER_LENGTH, MAX_REPAIRED = 121, 200
 FILES = {"report": "report.html", "robot": "robot.toml"}
 """Files of a commissioning by their names on the page."""
 
@@ -452,7 +452,7 @@ class CommissioningService:
             return Download(found, *REPORT)
         return Download.named(found, "application/toml", f"{name}.toml")
 
-    def _arguments(self, robot: str, resumed: str) -> tuple[str, list[str]]:
+    def _arguments(self, robot: str, resumed: str, repaired: str) -> tuple[str, list[str]]:
         """Return name and arguments of a commissioning of `robot`; `resumed`: continue that one."""
         folder = self._folder / f"{self._bench}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         if resumed:
@@ -460,7 +460,7 @@ class CommissioningService:
         given = ["commission", "--sim", f"--output={folder}"]
         if robot:
             given.append(f"--robot={self.robot(robot)}")
-        return folder.name, [*given, "--resume"] if resumed else given
+        return folder.name, [*given, "--resume", f"--repaired={repaired}"] if resumed else given
 
 
 def _commissioning(folder: Path) -> dict[str, Any]:
@@ -490,6 +490,8 @@ def _step(title: str, done: DoneStep | None) -> dict[str, Any]:
     return {"title": title, "done": done is not None} | found
 
 
-def _wanted(asked: Asked) -> tuple[str, str]:
-    """Return the names of robot and resumed commissioning; empty: the configured one, a new one."""
-    return asked.text("robot", MAX_FOLDER_LENGTH, 0), asked.text("resume", MAX_FOLDER_LENGTH, 0)
+def _wanted(asked: Asked) -> tuple[str, str, str]:
+    """Return robot, resumed commissioning and repaired parts; empty: the configured one, a new one."""
+    resumed = asked.text("resume", MAX_FOLDER_LENGTH, 0)
+    repaired = asked.text("repaired", MAX_REPAIRED, 1 if resumed else 0)
+    return asked.text("robot", MAX_FOLDER_LENGTH, 0), resumed, repaired

@@ -4,7 +4,7 @@
 
 Takes an hour, so only by name. Bench and nodes are processes of this machine on a separate bus; a script
 turns the regulator, and manual actions are done at the nodes. With `--folder` an interrupted run
-resumes there with `--resume`.
+resumes there with `--resume --repaired nothing`.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             f'nodes --folder {nodes} --turn-regulator "$1"\n'
         )
         turn.chmod(0o755)
-        resume = ["--resume"] if (day / "commissioning.json").exists() else []
+        resume = ["--resume", "--repaired", "nothing"] if (day / "commissioning.json").exists() else []
         command = [sys.executable, "-m", "bench", "--config", str(bench), "commission", "--output", str(day)]
         begun = time.monotonic()
         stack.enter_context(played_nodes(robot, "--folder", str(nodes)))

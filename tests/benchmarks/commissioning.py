@@ -146,7 +146,7 @@ def _commissioned(
 ) -> tuple[RobotEstimate, str, list[str], float]:
     """Return the estimate after all steps, why it ended, why its loads are unsafe, and its time (s)."""
     with TemporaryDirectory() as folder:
-        state = begin(Path(folder), configuration, simulated=True, resume=False)
+        state = begin(Path(folder), configuration, simulated=True)
         said = ""
         try:
             machine = SimulatedMachine(truth, configuration.plant, faults)

@@ -57,7 +57,14 @@ Turn = Annotated[
     ),
 ]
 Resume = Annotated[
-    bool, flag("--resume", "Continue after the last step done in DIR, after a fault from the first.")
+    bool,
+    flag("--resume", "Continue after the last step done in DIR, after a fault or repair from the first."),
+]
+Repaired = Annotated[
+    str,
+    option(
+        "With --resume: parts repaired, replaced or adjusted since, or 'nothing'.", "TEXT", shown="prompt"
+    ),
 ]
 Check = Annotated[bool, flag("--check", "Move nothing: check the files, and say what each step does.")]
 Json = Annotated[bool, flag("--json", "With --check: print JSON.")]
@@ -70,6 +77,7 @@ def commission(
     robot: Robot = None,
     regulator: Turn = None,
     resume: Resume = False,
+    repaired: Repaired = "",
     check: Check = False,
     json_: Json = False,
 ) -> None:
@@ -88,7 +96,8 @@ def commission(
     simulated = sim or configuration.driver.name == "sim"
     _require_possible(configuration, robot, regulator, simulated=simulated)
     truth = configuration if robot is None else load_configuration(robot)
-    state = begin(output, configuration, simulated=simulated, resume=resume)
+    stated = _stated_repair(repaired.strip(), resume=resume)
+    state = begin(output, configuration, simulated=simulated, repaired=stated)
     state.robot = "" if robot is None else str(robot.resolve())
     if check:
         if simulated:
@@ -102,6 +111,23 @@ def commission(
         raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", action)
     _commission(state, configuration, truth, live=not sim, regulator=regulator)
     _show(state)
+
+
+def _stated_repair(repaired: str, *, resume: bool) -> str | None:
+    """Return the statement of repaired parts that continues a commissioning; None for a new one."""
+    if not resume:
+        if repaired:
+            action = "Add --resume, or leave it out."
+            raise BenchError("commission --repaired", "a new commissioning", "one to resume", action)
+        return None
+    if not (repaired or at_terminal()):
+        action = "Name the parts repaired, replaced or adjusted since the interruption, or state: nothing."
+        expected = "--repaired TEXT, or --repaired nothing"
+        raise BenchError("commission --resume", "no statement of repairs", expected, action)
+    while not repaired:
+        text = "Parts repaired, replaced or adjusted since the interruption (or: nothing)"
+        repaired = typer.prompt(text, err=True).strip()
+    return repaired
 
 
 def _require_possible(
@@ -184,7 +210,8 @@ def _see_inputs(
     """Do the step before all others; on hardware its result is a calibration."""
     from bench.commissioning.commissioning import see_inputs
 
-    in_force = None if state.simulated else inputs_in_force(configuration, datetime.now(UTC))
+    interrupted = state.resumed[-1].interrupted if state.resumed else ""
+    in_force = None if state.simulated else inputs_in_force(configuration, datetime.now(UTC), interrupted)
 
     def keep(seen: SeenInputs) -> None:
         if in_force is not None:
@@ -224,8 +251,11 @@ def _write_robot(
         stream.write(text.encode())
 
 
-def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
-    """Return the name of the check in force, empty if it is due; None with a simulated robot."""
+def inputs_in_force(configuration: Configuration, now: datetime, interrupted: str) -> str | None:
+    """Return the name of the check in force, empty if it is due; None with a simulated robot.
+
+    It is due if it is not newer than `interrupted` (ISO date), empty without an interruption.
+    """
     from bench.calibration.archive import calibration_of
     from bench.calibration.calibration import CalibrationKind, SeenInputs, is_rewired
 
@@ -234,7 +264,8 @@ def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
     entry = calibration_of(configuration, now).of(CalibrationKind.INPUTS)
     if entry is None or entry.expired(now) or not isinstance(entry.values, SeenInputs):
         return ""
-    wrong = entry.values.findings or is_rewired(entry.values, configuration)
+    older = interrupted and entry.date <= datetime.fromisoformat(interrupted)
+    wrong = older or entry.values.findings or is_rewired(entry.values, configuration)
     return "" if wrong else entry.name
 
 

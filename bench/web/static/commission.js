@@ -15,7 +15,7 @@ let said = null;
 export function startCommissioning() {
   by("robot-file").addEventListener("change", () => show(null));
   by("commission-check").addEventListener("click", check);
-  by("commission-start").addEventListener("click", () => begin(by("robot-file").value, ""));
+  by("commission-start").addEventListener("click", () => begin(by("robot-file").value, "", ""));
   setInterval(refresh, 300);
 }
 
@@ -62,7 +62,7 @@ async function check() {
   refresh();
   tell("Checking …", false);
   const robot = by("robot-file").value;
-  const answer = await send("/api/commissioning/check", { robot, resume: "" }, "", COMMAND_TIME);
+  const answer = await send("/api/commissioning/check", { robot, resume: "", repaired: "" }, "", COMMAND_TIME);
   busy = false;
   tell(answer.ok ? "" : say(answer, ""), !answer.ok);
   show(answer.ok && by("robot-file").value === robot ? answer : null);
@@ -82,10 +82,10 @@ function show(found) {
   refresh();
 }
 
-async function begin(robot, resume) {
+async function begin(robot, resume, repaired) {
   busy = true;
   refresh();
-  const answer = await send("/api/commissioning/start", { number: randomNumber(), robot, resume });
+  const answer = await send("/api/commissioning/start", { number: randomNumber(), robot, resume, repaired });
   busy = false;
   tell(say(answer, answer.note), !answer.ok);
   outcome(say(answer, answer.note), !answer.ok);
@@ -143,7 +143,10 @@ function actions(c) {
   if (finished(c) || isRunning()) return files;
   const robots = make("select", { "aria-label": `Robot of ${c.name}` }, ...["", ...view.robots].map(option));
   robots.value = view.robots.includes(c.robot) ? c.robot : "";
-  return [make("label", {}, c.wrong ? "Repaired robot " : "Robot ", robots), button("Resume", c, () => begin(robots.value, c.name)), ...files];
+  const repaired = make("input", { maxlength: 200, required: true, placeholder: "parts, or: nothing" });
+  const resume = () => repaired.reportValidity() && begin(robots.value, c.name, repaired.value);
+  return [make("label", {}, c.wrong ? "Repaired robot " : "Robot ", robots), make("label", {}, "Repaired since ", repaired),
+    button("Resume", c, resume), ...files];
 }
 
 const button = (label, c, act) => make("button", { type: "button", "data-stop": label === "Stop", "aria-label": `${label} ${c.name}`, on: { click: act } }, label);

@@ -7,7 +7,7 @@ import os
 import re
 import shlex
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,15 @@ import pytest
 
 from bench.base.errors import BenchError, Refused
 from bench.calibration.archive import calibration_of
-from bench.calibration.calibration import CalibrationKind, EncoderZeros, ValveCentres
+from bench.calibration.calibration import (
+    CalibrationKind,
+    EncoderZeros,
+    SeenInputs,
+    ValveCentres,
+    wiring_digest,
+)
 from bench.commands.cli import main
+from bench.commands.machine.commission import inputs_in_force, keep_inputs
 from bench.commissioning.commissioning import (
     ALL_STEPS,
     STATE_FILE,
@@ -103,7 +110,7 @@ def test_commissioning_state_is_saved_after_each_step_and_repeated_after_fault(
 ) -> None:
     first, second = _Found("first"), _Found("second", failing=True)
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first, second))
-    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    state = begin(tmp_path, configuration, simulated=True)
     with pytest.raises(MachineFault):
         _run(state, configuration)
     stored = read_state(tmp_path)
@@ -113,9 +120,9 @@ def test_commissioning_state_is_saved_after_each_step_and_repeated_after_fault(
     assert "Check it." in commissioning_report(stored, configuration.plant, DAY)
 
     with pytest.raises(BenchError, match="--resume"):
-        begin(tmp_path, configuration, simulated=True, resume=False)
+        begin(tmp_path, configuration, simulated=True)
     second.failing = False
-    state = begin(tmp_path, configuration, simulated=True, resume=True)
+    state = begin(tmp_path, configuration, simulated=True, repaired="nothing")
     known = _run(state, configuration)
     assert (first.runs, second.runs) == (2, 2)
     assert known.plant.supply.pressure == 7e5
@@ -127,7 +134,7 @@ def test_commission_stalled_step_is_repeated_at_most_nine_times(
 ) -> None:
     late, stuck = _Found("late", stalls=3), _Found("stuck", stalls=20)
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (late, stuck))
-    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    state = begin(tmp_path, configuration, simulated=True)
     with pytest.raises(Stalled, match="stall 10; it was repeated 9 times"):
         _run(state, configuration)
     (done,) = read_state(tmp_path).done
@@ -141,46 +148,94 @@ def test_commissioning_resume_after_stall_keeps_measured_steps(
     first, second = _Found("first"), _Found("second", stalls=10)
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first, second))
     with pytest.raises(Stalled):
-        _run(begin(tmp_path, configuration, simulated=True, resume=False), configuration)
-    _run(begin(tmp_path, configuration, simulated=True, resume=True), configuration)
+        _run(begin(tmp_path, configuration, simulated=True), configuration)
+    _run(begin(tmp_path, configuration, simulated=True, repaired="nothing"), configuration)
     assert (first.runs, second.runs) == (1, 11)
+
+
+def test_commissioning_resume_after_repair_repeats_and_reports(
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = _Found("first"), _Found("second", stalls=10)
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first, second))
+    with pytest.raises(Stalled):
+        _run(begin(tmp_path, configuration, simulated=True), configuration)
+    saved = read_state(tmp_path).saved
+    other = replace(configuration, plant=replace(configuration.plant, wrist_lever=0.05))
+    state = begin(tmp_path, other, simulated=True, repaired="a <new> hose")
+    assert state.done == []
+    _run(state, other)
+    assert first.runs == 2
+    stored = read_state(tmp_path)
+    (resumed,) = stored.resumed
+    assert (resumed.repaired, resumed.interrupted) == ("a <new> hose", saved)
+    assert "repaired: a &lt;new&gt; hose" in commissioning_report(stored, other.plant, DAY)
+
+
+def test_inputs_in_force_check_before_interruption_is_due(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    c = replace(
+        configuration,
+        driver=replace(configuration.driver, name="mock"),
+        bench=replace(configuration.bench, data_dir=tmp_path),
+    )
+    entry = keep_inputs(c, SeenInputs(("emergency stop",), wiring_digest(c), (), 0.0), "Ann")
+    later = entry.date + timedelta(seconds=1)
+    assert inputs_in_force(c, later, "") == entry.name
+    assert inputs_in_force(c, later, (entry.date - timedelta(seconds=1)).isoformat()) == entry.name
+    assert inputs_in_force(c, later, later.isoformat()) == ""
+
+
+def test_commission_resume_at_terminal_prompts_for_repairs(
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = ["commission", "--sim", "--check", "--resume", "--output", str(tmp_path)]
+    begin(tmp_path, configuration, simulated=True).save()
+    asked = list[str]()
+    monkeypatch.setattr("bench.commands.machine.commission.at_terminal", lambda: True)
+    monkeypatch.setattr("typer.prompt", lambda text, **_: asked.append(text) or "Nothing")
+    with pytest.raises(SystemExit) as ended:
+        main(given)
+    assert ended.value.code == 0
+    assert len(asked) == 1
 
 
 def test_commissioning_resume_repeats_steps_from_missing_file(
     tmp_path: Path, configuration: Configuration
 ) -> None:
-    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    state = begin(tmp_path, configuration, simulated=True)
     state.done = [DoneStep(step.name, step.title, "", DAY.isoformat(), 1.0, "", (), ()) for step in ALL_STEPS]
     state.save()
     (tmp_path / "swing.toml").touch()
-    done = begin(tmp_path, configuration, simulated=True, resume=True).done
+    done = begin(tmp_path, configuration, simulated=True, repaired="nothing").done
     assert [step.name for step in done] == [step.name for step in ALL_STEPS[:-2]]
     (tmp_path / "learned.toml").touch()
-    assert begin(tmp_path, configuration, simulated=True, resume=True).done == state.done
+    assert begin(tmp_path, configuration, simulated=True, repaired="nothing").done == state.done
 
 
 def test_commissioning_resume_other_robot_is_refused(tmp_path: Path, configuration: Configuration) -> None:
-    begin(tmp_path, configuration, simulated=True, resume=False).save()
+    begin(tmp_path, configuration, simulated=True).save()
     plant = replace(configuration.plant, wrist_lever=0.05)
     with pytest.raises(BenchError, match="another configured robot"):
-        begin(tmp_path, replace(configuration, plant=plant), simulated=True, resume=True)
+        begin(tmp_path, replace(configuration, plant=plant), simulated=True, repaired="nothing")
     with pytest.raises(BenchError, match="Begin without --resume"):
-        begin(tmp_path / "empty", configuration, simulated=True, resume=True)
+        begin(tmp_path / "empty", configuration, simulated=True, repaired="nothing")
 
 
 def test_commissioning_resume_other_wiring_after_measurement_is_refused(
     tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = replace(configuration, bench=replace(configuration.bench, id="other"))
-    begin(tmp_path, configuration, simulated=False, resume=False).save()
+    begin(tmp_path, configuration, simulated=False).save()
     other = replace(other, files=(tmp_path / "other.toml",))
-    begin(tmp_path, other, simulated=False, resume=True).save()  # nothing is measured yet
+    begin(tmp_path, other, simulated=False, repaired="nothing").save()  # nothing is measured yet
     assert read_state(tmp_path).configuration == str(tmp_path / "other.toml")
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (_Found("first"),))
-    _run(begin(tmp_path, other, simulated=False, resume=True), configuration)
+    _run(begin(tmp_path, other, simulated=False, repaired="nothing"), configuration)
     with pytest.raises(BenchError, match="another configured robot"):
-        begin(tmp_path, configuration, simulated=False, resume=True)
-    begin(tmp_path, other, simulated=False, resume=True)
+        begin(tmp_path, configuration, simulated=False, repaired="nothing")
+    begin(tmp_path, other, simulated=False, repaired="nothing")
 
 
 def test_folder_lock_second_lock_is_refused(tmp_path: Path) -> None:
@@ -214,7 +269,7 @@ def test_commission_check_lists_steps_and_writes_nothing(
 def test_commissioning_state_stores_robot_and_is_refused_without(
     tmp_path: Path, configuration: Configuration
 ) -> None:
-    state = begin(tmp_path / "day", configuration, simulated=True, resume=False)
+    state = begin(tmp_path / "day", configuration, simulated=True)
     assert not (tmp_path / "day").exists()
     state.robot = "/srv/other.toml"
     state.save()
@@ -242,7 +297,7 @@ def test_commissioning_state_stores_robot_and_is_refused_without(
 def test_commissioning_state_invalid_value_is_refused_with_location(
     tmp_path: Path, configuration: Configuration, place: tuple[Any, ...], value: Any, location: str
 ) -> None:
-    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    state = begin(tmp_path, configuration, simulated=True)
     found = ParameterEstimate("supply.pressure", 7e5, 100.0, "Pa absolute", "first")
     state.done = [DoneStep("first", "First", "", DAY.isoformat(), 1.0, "", (found,), ())]
     state.save()
@@ -370,7 +425,7 @@ def test_commission_drawn_robot_errors_cover_true_values(
     tmp_path: Path, configuration: Configuration
 ) -> None:
     truth = drawn_robot(3, configuration.plant)
-    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    state = begin(tmp_path, configuration, simulated=True)
     with SimulatedMachine(truth, configuration.plant) as machine:
         known = commission(state, configuration.plant, machine)
         assert machine.loads.stop_share < 1.0
@@ -445,7 +500,7 @@ def test_commission_failed_learning_exits_with_1_and_resumes(
     assert "Look at the club." in (tmp_path / "day" / "report.html").read_text()
     last.failing = False
     with pytest.raises(SystemExit) as ended:
-        main([*given, "--resume"])
+        main([*given, "--resume", "--repaired", "nothing"])
     assert ended.value.code == 0
     assert (len(first.knew), len(last.knew)) == (2, 2)
 
@@ -464,13 +519,13 @@ def test_commission_resume_edited_robot_file_is_refused(
     robot.write_text(written.replace('check = "always"', 'check = "off"'))
     for more in ([], ["--check"]):
         with pytest.raises(SystemExit) as ended:
-            main([*given, "--resume", *more])
+            main([*given, "--resume", "--repaired", "nothing", *more])
         assert ended.value.code == 1
         assert "an edited file" in capsys.readouterr().err
     assert 'check = "off"' in robot.read_text()
     robot.unlink()
     with pytest.raises(SystemExit) as ended:
-        main([*given, "--resume"])
+        main([*given, "--resume", "--repaired", "nothing"])
     assert ended.value.code == 0
     again = robot.read_text().splitlines()
     changed = [line for line in again if line not in written.splitlines()]
@@ -484,6 +539,8 @@ def test_commission_resume_edited_robot_file_is_refused(
         ("", ["--regulator", "turn"], "commission --regulator"),
         ('[driver]\nname = "mock"\n', ["--sim", "--regulator", "turn"], "commission --regulator"),
         ('[driver]\nname = "mock"\n', [], "neither a program nor a terminal"),
+        ("", ["--sim", "--resume"], "commission --resume"),
+        ("", ["--sim", "--repaired", "hose"], "commission --repaired"),
         ('[homing]\nmethod = "index"\n', ["--sim", "--check"], "homing.method"),
         ("", ["--sim", "--check", "--output", __file__], __file__),
         ("", ["--sim", "--check", "--output", f"{__file__}/day"], __file__),

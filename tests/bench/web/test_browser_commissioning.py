@@ -27,6 +27,11 @@ STEP = 600_000.0
 WRONG = '[faults.vents]\nsignal = "vents"\nkind = "stuck"\nvalue = 1.0\n'
 
 
+def resume(tab: Any, repaired: str) -> None:
+    tab.page.fill("#commissionings input", repaired)
+    tab.page.click("#commissionings button:has-text('Resume')")
+
+
 @pytest.mark.release
 def test_commissioning_page_faulty_machine_is_repaired_and_measured(browser: Any, tmp_path: Path) -> None:
     tokens, file, port = write_day(tmp_path), write_configuration(tmp_path, "first"), free_port()
@@ -51,19 +56,19 @@ def test_commissioning_page_faulty_machine_is_repaired_and_measured(browser: Any
         assert read_state(folder).done == []
 
         tab.page.select_option("#commissionings select", "")  # the vents are repaired
-        tab.page.click("#commissionings button:has-text('Resume')")
+        resume(tab, "vents")
         tab.text("#commissionings").to_contain_text("running, 1 of 8 steps done", timeout=STEP)
         process = commissioning_process(folder)
         assert process is not None
         os.kill(process, signal.SIGKILL)  # a crash costs one step
         tab.text("#commissionings").to_contain_text("not running, 1 of 8 steps done")
         tab.text("#commission-ended").to_contain_text("exit code -9")
-        tab.page.click("#commissionings button:has-text('Resume')")
+        resume(tab, "nothing")
         tab.text("#commissionings").to_contain_text("running, 2 of 8 steps done", timeout=STEP)
         tab.page.click("#commissionings button:has-text('Stop')")
         tab.text("#commissionings").to_contain_text("not running, 2 of 8 steps done")
         tab.text("#commission-ended").to_be_empty()
-        tab.page.click("#commissionings button:has-text('Resume')")
+        resume(tab, "nothing")
         tab.text("#commissionings").to_contain_text("running, 5 of 8 steps done", timeout=3 * STEP)
         tab.page.click("#commissionings button:has-text('Stop')")  # its swings are computed for minutes
         tab.text("#commissionings").to_contain_text("not running, 5 of 8 steps done")

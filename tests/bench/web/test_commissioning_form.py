@@ -157,25 +157,25 @@ def test_commissioning_page_check_and_start_run_command(
     robots.mkdir(parents=True)
     (robots / "other.toml").write_text("")
     first = stored(configuration.bench.data_dir, "first-day")
-    status, content = asked(page, "check", robot="", resume="")
+    status, content = asked(page, "check", robot="", resume="", repaired="")
     assert (status, content["steps"][0]["title"]) == (200, "T")
     check = program.asked[0]
     assert check[:2] == ["commission", "--sim"]
     assert check[2].startswith(f"--output={first.parent}/bench1-")
     assert check[3:] == ["--check", "--json"]
     with page.stream() as following:
-        status, content = asked(page, "start", robot="other", resume="first-day")
+        status, content = asked(page, "start", robot="other", resume="first-day", repaired="new hose")
         assert status == 200, content
         assert following("commissioner") == {"what": "first-day", "running": True, "text": ""}
-        status, content = asked(page, "start", robot="", resume="")
+        status, content = asked(page, "start", robot="", resume="", repaired="")
         assert (status, "no other" in content["what"]) == (409, True)
         wait_until(lambda: len(program.asked) == 2)
-        given = ["commission", "--sim", f"--output={first}", f"--robot={robots / 'other.toml'}", "--resume"]
-        assert program.asked[1] == given
+        given = ["commission", "--sim", f"--output={first}", f"--robot={robots / 'other.toml'}"]
+        assert program.asked[1] == [*given, "--resume", "--repaired=new hose"]
         program.note("fail")
         program.note("end")
         assert following("commissioner")["text"] == "bench b: held by Ann; expected a free bench. Wait."
-    status, content = asked(page, "check", robot="", resume="first-day")
+    status, content = asked(page, "check", robot="", resume="first-day", repaired="new hose")
     assert (status, content["what"], content["action"]) == (
         409,
         "Robot: no sensors; expected some.",
@@ -189,7 +189,7 @@ def test_commissioning_page_end_without_learned_swing_is_no_fault(
     program.note("refuse")
     program.note("end")
     with page.stream() as following:
-        assert asked(page, "start", robot="", resume="")[0] == 200
+        assert asked(page, "start", robot="", resume="", repaired="")[0] == 200
         while (said := following("commissioner"))["running"]:
             pass
         assert said["text"] == ""
@@ -218,19 +218,21 @@ def test_commissioning_page_stops_process_of_earlier_page(
 @pytest.mark.parametrize(
     "content",
     [
-        {"robot": "--help", "resume": ""},
-        {"robot": "../../etc/passwd", "resume": ""},
-        {"robot": "", "resume": "../first-day"},
-        {"robot": SCRIPT, "resume": ""},
-        {"robot": "", "resume": "x" * 200},
-        {"robot": 1, "resume": ""},
-        {"robot": "", "resume": "a\nb"},
+        {"robot": "--help", "resume": "", "repaired": "nothing"},
+        {"robot": "../../etc/passwd", "resume": "", "repaired": "nothing"},
+        {"robot": "", "resume": "../first-day", "repaired": "nothing"},
+        {"robot": SCRIPT, "resume": "", "repaired": "nothing"},
+        {"robot": "", "resume": "x" * 200, "repaired": "nothing"},
+        {"robot": 1, "resume": "", "repaired": "nothing"},
+        {"robot": "", "resume": "a\nb", "repaired": "nothing"},
+        {"robot": "", "resume": "first-day", "repaired": ""},
         {},
     ],
 )
 def test_commissioning_page_invalid_request_starts_nothing(
-    page: RunningPage, program: NotingProgram, content: dict[str, Any]
+    page: RunningPage, program: NotingProgram, configuration: Configuration, content: dict[str, Any]
 ) -> None:
+    stored(configuration.bench.data_dir, "first-day")
     for path in ("check", "start"):
         status, answer = asked(page, path, **content)
         assert status in (400, 409)

@@ -335,7 +335,7 @@ def test_wiring_digest_changes_with_input_assignment(configuration: Configuratio
 def test_see_inputs_runs_first_and_repeats_when_due(
     tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    state, kept = begin(tmp_path, configuration, simulated=True, resume=False), list[SeenInputs]()
+    state, kept = begin(tmp_path, configuration, simulated=True), list[SeenInputs]()
     found = [InputFinding("guard closed", "bridged", "a change", "Look.")]
     monkeypatch.setattr(
         "bench.commissioning.commissioning.check_inputs",
