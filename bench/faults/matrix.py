@@ -20,9 +20,9 @@ from bench.config import Configuration
 from bench.control.settings import SIMULATED, build_controller, holding_pressure
 from bench.control.step_records import ControlParameters, new_control_state
 from bench.faults.case_run import Watch, WatchedRun, next_swing
-from bench.faults.compound_faults import CATALOGUE
-from bench.faults.single_faults import (
+from bench.faults.catalogue import (
     ACCESS,
+    CATALOGUE,
     INTO_A_STOP,
     START,
     Breakage,
@@ -353,7 +353,7 @@ def digest_of(configuration: Configuration, profile: Profile, model_check: bool)
         name: effective[name]
         for name in ("plant", "control", "lifecycle", "homing", "envelope", "estimator", "driver")
     }
-    text = json.dumps([code_digest(__name__), parts, model_check], sort_keys=True)
+    text = json.dumps([code_digest(__name__), repr(CATALOGUE), parts, model_check], sort_keys=True)
     return hashlib.sha256(text.encode() + profile.angle.tobytes() + profile.valve.tobytes()).hexdigest()[:16]
 
 

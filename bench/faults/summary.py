@@ -27,8 +27,8 @@ import jinja2
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.config import Configuration
+from bench.faults.catalogue import FAMILIES, HARDWARE, phase_name
 from bench.faults.matrix import Skipped
-from bench.faults.single_faults import FAMILIES, HARDWARE, phase_name
 from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile
 from drivers.base.machine_code import source_digest
@@ -221,7 +221,7 @@ _OF_THE_RUN = frozenset({"origin", "seconds"})
 
 def part_of(signal: str) -> tuple[str, str]:
     """Return the part or sort of parts of `signal`, and the protection that only hardware gives."""
-    for name, text in HARDWARE:
+    for name, text in HARDWARE.items():
         if name in (signal, sort_of(signal)):
             return name, text
     return sort_of(signal), "not needed"

@@ -28,8 +28,8 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.settings import build_controller
+from bench.faults.catalogue import Instant, instants_of
 from bench.faults.matrix import Workbench
-from bench.faults.single_faults import Instant, instants_of
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import healthy_plant
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons

@@ -6,8 +6,7 @@ from dataclasses import replace
 from itertools import cycle
 from typing import Any
 
-from bench.faults.compound_faults import CATALOGUE
-from bench.faults.single_faults import START, Breakage, Instant
+from bench.faults.catalogue import CATALOGUE, START, Breakage, Instant
 from bench.faults.summary import VERDICTS, summarise
 from bench.faults.verdict import CaseOutcome
 

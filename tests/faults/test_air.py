@@ -6,8 +6,8 @@ import numba
 import pytest
 
 from bench.base.lifecycle import Cause
+from bench.faults.catalogue import Breakage, Instant
 from bench.faults.matrix import Workbench
-from bench.faults.single_faults import Breakage, Instant
 from drivers.base import CHAMBERS
 from sim.faults import Fault
 

@@ -11,10 +11,9 @@ import pytest
 
 from bench.base.lifecycle import Phase
 from bench.config import load_configuration, shipped_configuration
-from bench.faults.compound_faults import CATALOGUE
-from bench.faults.matrix import Workbench, instants_for, plan_matrix
-from bench.faults.single_faults import (
+from bench.faults.catalogue import (
     ACCESS,
+    CATALOGUE,
     FAMILIES,
     INTO_A_STOP,
     START,
@@ -23,6 +22,7 @@ from bench.faults.single_faults import (
     dense_instants,
     instants_of,
 )
+from bench.faults.matrix import Workbench, instants_for, plan_matrix
 from bench.faults.summary import commit, origin_of
 from bench.swing.profile import PHASES, Profile
 from sim.faults import Fault

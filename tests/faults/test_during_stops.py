@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause, Reaction
+from bench.faults.catalogue import Instant, instants_of
 from bench.faults.matrix import Workbench
-from bench.faults.single_faults import Instant, instants_of
 from bench.swing.profile import Profile
 from sim.faults import Fault
 from tests.benchmarks.during_stops import AS_THE_TABLE_SAYS, STOPS, stopped, unsafe

@@ -8,8 +8,8 @@ import pytest
 
 from bench.base.lifecycle import Request
 from bench.control.settings import holding_pressure
+from bench.faults.catalogue import CATALOGUE, Breakage, Instant, instants_of
 from bench.faults.matrix import Workbench
-from bench.faults.single_faults import THROTTLED, Breakage, Instant, instants_of
 from sim.faults import Fault, own_records
 from tests.sampling import release_except
 
@@ -17,6 +17,7 @@ pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
 )
 
+THROTTLED = [b.fault for b in CATALOGUE if b.family == "access" and "exhaust" in b.fault.signal]
 SAMPLE = {
     "shoulder exhaust at 10 %",
     "manifold exhaust at 0 %",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numba
 import pytest
 
+from bench.faults.catalogue import Breakage, Instant
 from bench.faults.matrix import Workbench
-from bench.faults.single_faults import Breakage, Instant
 from sim.faults import Fault
 
 

@@ -20,7 +20,7 @@ import bench.faults.matrix
 from bench.commands.common import Session
 from bench.commands.machine.faults import app, matrix_page, matrix_table
 from bench.config import Configuration, load_configuration, shipped_configuration
-from bench.faults.compound_faults import CATALOGUE
+from bench.faults.catalogue import ACCESS, CATALOGUE, START, Breakage, Instant, instants_of, irrelevant
 from bench.faults.matrix import (
     FaultStudy,
     MatrixPlan,
@@ -30,7 +30,6 @@ from bench.faults.matrix import (
     plan_matrix,
     run_matrix,
 )
-from bench.faults.single_faults import ACCESS, START, Breakage, Instant, instants_of, irrelevant
 from bench.faults.summary import PHASES, hazard_table, matrix_digest, summarise, summary_text
 from bench.faults.verdict import CaseOutcome
 from bench.simulation.sweep import InProcess

@@ -7,9 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from bench.faults.case_run import next_swing
-from bench.faults.compound_faults import CATALOGUE
+from bench.faults.catalogue import CATALOGUE, Instant
 from bench.faults.matrix import Workbench, instants_for
-from bench.faults.single_faults import Instant
 from bench.faults.summary import next_swing_text
 from bench.faults.verdict import CaseOutcome
 from sim.faults import Fault

@@ -11,9 +11,8 @@ import pytest
 from bench.base.lifecycle import Request
 from bench.config import Configuration, load_configuration
 from bench.control.settings import build_controller
-from bench.faults.compound_faults import CATALOGUE
+from bench.faults.catalogue import CATALOGUE, Instant, instants_of, stopped_instants
 from bench.faults.matrix import Workbench
-from bench.faults.single_faults import Instant, instants_of, stopped_instants
 from bench.faults.verdict import CaseOutcome
 from bench.simulation.plant_variation import healthy_plant, healthy_run
 from bench.swing.library import find_profile

@@ -7,8 +7,8 @@ from math import nan
 import numba
 import pytest
 
+from bench.faults.catalogue import Breakage, Event, Instant
 from bench.faults.matrix import Workbench
-from bench.faults.single_faults import Breakage, Event, Instant
 from sim.faults import Fault, Kind
 
 pytestmark = pytest.mark.skipif(

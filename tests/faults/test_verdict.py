@@ -6,8 +6,8 @@ import numba
 import pytest
 
 from bench.faults import matrix
+from bench.faults.catalogue import Breakage, Instant
 from bench.faults.matrix import Workbench
-from bench.faults.single_faults import Breakage, Instant
 from sim.faults import Fault
 
 

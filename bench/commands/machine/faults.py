@@ -78,8 +78,8 @@ def run(
 
     Writes matrix.html, matrix.json and cases.jsonl. Exits with 1 if a case ends unsafe.
     """
+    from bench.faults.catalogue import FAMILIES
     from bench.faults.matrix import fault_study, plan_matrix
-    from bench.faults.single_faults import FAMILIES
     from bench.faults.summary import PHASES, summary_text
 
     _must_be_known("--phase", phase or (), PHASES)
