@@ -7,8 +7,12 @@ speed of its joint. Commands are those recorded; the model is the compiled plant
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Iterator
 from copy import copy
+from itertools import product
 from math import pi
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +21,10 @@ from scipy.signal import savgol_filter
 
 from bench.commissioning.machine.machine import Array, at_rows
 from bench.commissioning.steps.pneumatic_identification import count_angles
+from drivers.base import CHAMBERS, JOINTS
 from drivers.base.compiled import compiled, new_record
 from drivers.base.records import COMMAND
-from sim.plant import PlantParameters, advance, build_plant, initial_state
+from sim.plant import ACTUATOR_KEYS, PlantParameters, advance, build_plant, initial_state
 
 Cycles = np.ndarray[Any, Any]
 
@@ -179,6 +184,26 @@ def explained(errors: Array, effects: Array, moved: Array) -> tuple[Array, Array
 def robust_squares(errors: Array) -> Array:
     """Return the squares of `errors`, linear far beyond the scatter."""
     return np.asarray(2.0 * _OUTLIER**2 * (np.sqrt(1.0 + (errors / _OUTLIER) ** 2) - 1.0))
+
+
+_TABLES: dict[str, Any] = tomllib.loads(Path(__file__).with_name("causes.toml").read_text(encoding="utf-8"))
+
+
+def table_rows(name: str) -> Iterator[tuple[dict[str, Any], int, int]]:
+    """Yield the rows of `causes` or `wear` with joint and chamber, those of each joint after the common ones.
+
+    Their texts have the names of joint and chamber; -1: no joint or chamber.
+    """
+    for row in _TABLES[name]:
+        yield row, -1, -1
+    for joint, row in product(range(3), _TABLES[f"joint_{name}"]):
+        chambers = (2 * joint, 2 * joint + 1) if "{chamber}" in row["action"] else (-1,)
+        for chamber in chambers:
+            texts = {"joint": JOINTS[joint], "key": ACTUATOR_KEYS[joint], "side": "AB"[chamber % 2]}
+            texts["chamber"] = CHAMBERS[chamber]
+            filled = {key: text.format(**texts) for key, text in row.items() if isinstance(text, str)}
+            keys = [key.format(**texts) for key in row.get("keys", [])]
+            yield {**row, **filled, "keys": keys}, joint, chamber
 
 
 def _filled(columns: Array) -> Array:

@@ -18,15 +18,13 @@ from matplotlib.figure import Figure
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
-from bench.calibration.calibration import VALVE_MOVED
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
+from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained, table_rows
 from bench.control.measured_plant import value_at, with_values
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
 from bench.records.telemetry.record_file import read_swing
 from bench.simulation.replay import FEW, growth_of, settings_of
-from drivers.base import CHAMBERS, JOINTS
-from sim.plant import ACTUATOR_KEYS, PlantParameters
+from sim.plant import PlantParameters
 
 _STEP = 0.3
 """Step of a finite difference, as a share of the prior standard deviation."""
@@ -83,54 +81,23 @@ class WearingValue(NamedTuple):
 
 
 def wearing_values(plant: PlantParameters) -> tuple[WearingValue, ...]:
-    """Return the values of `plant` that are followed."""
-    litres = _LITRES * plant.supply.pressure
-    values = [
+    """Return the values of `plant` that are followed, those of `causes.toml`."""
+    scales = {"%": 100.0, "g": 1e3, "ms": 1e3, "bar": 1e-5, "l/min": _LITRES * plant.supply.pressure}
+    return tuple(
         WearingValue(
-            *("supply", "pressure", ("supply.pressure",), True, 0.05, 0.03, "%", 100.0),
-            "Read the gauge in service; set the regulator, look at compressor and filter.",
-        ),
-        WearingValue(
-            *("club", "head mass", ("robot.club.head_mass",), False, 0.01, 0.005, "g", 1e3),
-            "Weigh the head; look at its fastening and at the tape on it.",
-        ),
-        WearingValue(
-            *("encoders", "latency", ("encoders.latency",), False, 5e-4, 4e-4, "ms", 1e3),
-            "Look at the encoders' filter settings and at the bus.",
-        ),
-    ]
-    for number, (joint, key) in enumerate(zip(JOINTS, ACTUATOR_KEYS, strict=True)):
-        valve, seals, way = f"{joint} valve", f"{joint} seals", f"{key}.valve."
-        clean = f"Clean or replace the valve of the {joint}, then commission again."
-        tight = f"Look for a leak of the {joint}: hoses and fittings first, then seals."
-        friction = tuple(f"{key}.friction.{kind}" for kind in ("coulomb", "static", "viscous"))
-        values += [
-            WearingValue(
-                valve, "dead band", (way + "dead_band",), False, VALVE_MOVED, 0.008, "%", 100.0, clean
-            ),
-            WearingValue(valve, "centre", (way + "centre",), False, VALVE_MOVED, 0.005, "%", 100.0, clean),
-            WearingValue(
-                valve, "spool speed", (way + "natural_frequency",), True, 0.3, 0.15, "%", 100.0, clean
-            ),
-            WearingValue(valve, "flow", (way + "conductance",), True, 0.1, 0.08, "%", 100.0, clean),
-            WearingValue(valve, "leak", (way + "leakage",), False, 0.004, 0.004, "%", 100.0, clean),
-            WearingValue(
-                seals, "leak", (f"{key}.cross_leakage",), False, 3e-10, 2e-10, "l/min", litres, tight
-            ),
-            WearingValue(
-                *(joint, "friction", friction, True, 0.5, 0.3, "%", 100.0),
-                f"Look for a rubbing part, bearing, belt or seal of the {joint}; grease it.",
-            ),
-            *(
-                WearingValue(
-                    *(f"{joint} sensor", f"chamber {side}", (), False, 1e4, 1e4, "bar", 1e-5),
-                    f"Check the sensor of {CHAMBERS[chamber]} and its cable against a gauge.",
-                    chamber,
-                )
-                for side, chamber in (("A", 2 * number), ("B", 2 * number + 1))
-            ),
-        ]
-    return tuple(values)
+            row["part"],
+            row["name"],
+            tuple(row["keys"]),
+            row.get("share", False),
+            row["prior"],
+            row["most"],
+            row["unit"],
+            scales[row["unit"]],
+            row["action"],
+            chamber,
+        )
+        for row, _, chamber in table_rows("wear")
+    )
 
 
 class SwingWear(NamedTuple):
