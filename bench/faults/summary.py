@@ -303,27 +303,6 @@ def _row(cells: Sequence[Any]) -> str:
 JUDGEMENT = Path(__file__).with_name("hazard_file.toml")
 """The judgement, written by people; `tests/faults/test_hazard_file.py` checks its form."""
 
-RISK_GRAPH: Mapping[tuple[str, str, str], str] = {
-    ("S1", "F1", "P1"): "a",
-    ("S1", "F1", "P2"): "b",
-    ("S1", "F2", "P1"): "b",
-    ("S1", "F2", "P2"): "c",
-    ("S2", "F1", "P1"): "c",
-    ("S2", "F1", "P2"): "d",
-    ("S2", "F2", "P1"): "d",
-    ("S2", "F2", "P2"): "e",
-}
-"""Required performance level by severity, exposure and avoidance: the graph of ISO 13849-1, as printed in the
-manuals that the hazard file names."""
-
-SEVERITIES = (
-    "none, or repaired in minutes",
-    "damage to the machine",
-    "injury that heals",
-    "lasting injury or death",
-)
-"""Meanings of the severities 1 to 4; IEC 60812 sets no scale."""
-
 
 def hazard_file(summary: Mapping[str, Any]) -> str:
     """Return the hazard file as Markdown from the matrix's `summary`.
@@ -340,8 +319,6 @@ def hazard_file(summary: Mapping[str, Any]) -> str:
         summary=summary,
         digest=matrix_digest(summary),
         next_swing=next_swing_text(summary),
-        severities=SEVERITIES,
-        risk_graph=RISK_GRAPH,
     )
 
 

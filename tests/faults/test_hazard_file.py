@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.faults.summary import JUDGEMENT, RISK_GRAPH, hazard_file
+from bench.faults.summary import JUDGEMENT, hazard_file
 from tests.faults.made_matrix import whole_matrix
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,12 +47,12 @@ def test_hazard_file_unknown_fault_is_refused() -> None:
 
 
 def test_risk_graph_level_never_decreases_with_risk() -> None:
-    assert set(RISK_GRAPH) == set(product(("S1", "S2"), ("F1", "F2"), ("P1", "P2")))
-    for risk, level in RISK_GRAPH.items():
-        for i in range(3):
-            worse = tuple(f"{c[0]}2" if k == i else c for k, c in enumerate(risk))
-            assert RISK_GRAPH[worse[0], worse[1], worse[2]] >= level
-    assert (RISK_GRAPH["S1", "F1", "P1"], RISK_GRAPH["S2", "F2", "P2"]) == ("a", "e")
+    graph = tomllib.loads(JUDGEMENT.read_text())["risk_graph"]
+    assert set(graph) == {f"S{s} F{f} P{p}" for s, f, p in product((1, 2), repeat=3)}
+    for risk, level in graph.items():
+        for axis in "SFP":
+            assert graph[risk.replace(f"{axis}1", f"{axis}2")] >= level
+    assert (graph["S1 F1 P1"], graph["S2 F2 P2"]) == ("a", "e")
 
 
 KEYS = {
@@ -67,7 +67,7 @@ KEYS = {
 
 def test_judgement_entries_are_complete() -> None:
     read = tomllib.loads(JUDGEMENT.read_text())
-    assert set(read) == {*KEYS, "intervals", "owners", "open", "scope"}
+    assert set(read) == {*KEYS, "intervals", "owners", "open", "scope", "risk_graph"}
     for name, keys in KEYS.items():
         for entry in read[name]:
             assert set(entry) - {"kinds"} == set(keys.split()), entry
@@ -76,4 +76,4 @@ def test_judgement_entries_are_complete() -> None:
             assert entry.get("interval", "year") in read["intervals"], entry
             assert entry.get("owner", "bench") in read["owners"], entry
             assert entry.get("severity", 1) in (1, 2, 3, 4), entry
-    assert all((entry["s"], entry["f"], entry["p"]) in RISK_GRAPH for entry in read["functions"])
+    assert all("{s} {f} {p}".format(**entry) in read["risk_graph"] for entry in read["functions"])
