@@ -156,7 +156,7 @@ def act_at(folder: Path | None, key: str) -> None:
     location = f"nodes --act {key}"
     if key not in ACTS:
         raise Refused(location, repr(key), f"one of {', '.join(ACTS)}", "Give one of them.")
-    _at_nodes(folder, location, lambda there: act_in_simulation(there)(ACTS[key]))
+    _at_nodes(folder, location, lambda there: act_in_simulation(there, ACTS[key]))
 
 
 def _at_nodes(folder: Path | None, location: str, act: Callable[[Path], None]) -> None:

@@ -1,8 +1,8 @@
 """Checks of the inputs, and the pressure regulator during them.
 
-A person acts, and the bench monitors all inputs at once. The table of stages is the complete check: outputs,
-the person's act, and the inputs that then differ from the robot at rest. Over all stages each input has a
-unique column, so that two exchanged cables show each other's column. While the outputs are energised the
+A person acts, and the bench monitors all inputs at once. The stages of `inputs.toml` are the complete check:
+outputs, the person's act, and the inputs that then differ from the robot at rest. Over all stages each input
+has a unique column, so that two exchanged cables show each other's column. While the outputs are energised the
 regulator is turned down to zero: the stop contacts open without air behind them.
 """
 
@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 import shlex
 import subprocess
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from math import isnan
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bench.base.errors import BenchError, ExitCode
 from bench.commissioning.machine.commissioning_step import Mark
@@ -34,31 +36,17 @@ class Act(NamedTuple):
     value: bool
 
 
-ACTS: Mapping[str, Act] = {
-    act.key: act
-    for act in (
-        Act("press-stop", "Press an emergency stop, each day another one", "emergency_stop_clear", False),
-        Act(
-            "release-stop",
-            "Release the emergency stop, and reset the safety relay",
-            "emergency_stop_clear",
-            True,
-        ),
-        Act("press-reset", "Press the local reset and keep it pressed", "local_reset", True),
-        Act("release-reset", "Release the local reset", "local_reset", False),
-        Act("open-guard", "The guard is released: open it", "guard_closed", False),
-        Act("place-ball", "Put a ball on the tee", "ball_present", True),
-        Act("take-ball", "Take the ball off the tee", "ball_present", False),
-        Act("close-guard", "Leave, and close the guard", "guard_closed", True),
-    )
-}
+_TABLES: dict[str, Any] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+
+ACTS: Mapping[str, Act] = {key: Act(key, *row) for key, row in _TABLES["acts"].items()}
 """Acts by their keys."""
 
 
 class Input(NamedTuple):
     """An input that is on or off."""
 
-    level: Callable[[Readings], float]
+    reading: str
+    """Field of `Readings`, in a tuple with its index."""
     rest: bool
     """Its level while the robot stands passive behind its closed guard."""
     off: str
@@ -66,19 +54,16 @@ class Input(NamedTuple):
     """Words for its levels."""
     action: str
 
+    def level(self, readings: Readings) -> float:
+        """Return its level in `readings`; NaN if it is not fitted."""
+        name, _, index = self.reading.partition(".")
+        value = getattr(readings, name)
+        return float(value[int(index)] if index else value)
 
-_CONTACT = "Look for a bridge, a welded contact or a short circuit, and for its plug and cable."
-_VALVE = "Look at the valve, its coil and its position switch."
 
 INPUTS: Mapping[str, Input] = {
-    "emergency stop": Input(lambda r: r.emergency_stop_clear, True, "pressed", "clear", _CONTACT),
-    "guard closed": Input(lambda r: r.guard_closed, True, "open", "closed", _CONTACT),
-    "guard locked": Input(lambda r: r.guard_locked, True, "released", "locked", _CONTACT),
-    "local reset": Input(lambda r: r.local_reset, False, "not pressed", "pressed", _CONTACT),
-    "ball sensor": Input(lambda r: r.ball_present, False, "no ball", "a ball", "Clean, align or replace it."),
-    "vent 1": Input(lambda r: r.vent_open[0], True, "shut", "open", _VALVE),
-    "vent 2": Input(lambda r: r.vent_open[1], True, "shut", "open", _VALVE),
-    "shut-off": Input(lambda r: r.shut_off_open, False, "shut", "open", _VALVE),
+    name: Input(reading, rest, off, on, action.format_map(_TABLES["actions"]))
+    for name, (reading, rest, off, on, action) in _TABLES["inputs"].items()
 }
 """Inputs by their names."""
 
@@ -86,11 +71,10 @@ INPUTS: Mapping[str, Input] = {
 def levels(readings: Readings) -> tuple[float, ...]:
     """Return the levels of all inputs, in the order of INPUTS; one that is not fitted is -1."""
     shown = (one.level(readings) for one in INPUTS.values())
-    return tuple(-1.0 if isnan(level) else float(level) for level in shown)
+    return tuple(-1.0 if isnan(level) else level for level in shown)
 
 
-VENTS = ("vent 1", "vent 2")
-FEEDBACKS = (*VENTS, "shut-off")
+FEEDBACKS = ("vent 1", "vent 2", "shut-off")
 """Inputs that show the effect of the stop contacts."""
 
 
@@ -106,25 +90,17 @@ class Stage(NamedTuple):
 
 
 _ENERGISED = Command(supply_enable=True, exhaust_closed=True, beacon=True)
-_UNLOCKED = _ENERGISED._replace(guard_lock=False)
-_OPEN = Command(guard_lock=False)
+_OUTPUTS = {
+    "passive": PASSIVE,
+    "energised": _ENERGISED,
+    "unlocked": _ENERGISED._replace(guard_lock=False),
+    "open": Command(guard_lock=False),
+}
 _AT_STOP, _AT_GUARD = "emergency stop pressed", "guard opened"
 
-
-STAGES: tuple[Stage, ...] = (
-    Stage("at rest", PASSIVE, "", ()),
-    Stage("outputs energised", _ENERGISED, "", FEEDBACKS),
-    Stage(_AT_STOP, _ENERGISED, "press-stop", ("emergency stop",)),
-    Stage("emergency stop released", PASSIVE, "release-stop", ()),
-    Stage("local reset pressed", PASSIVE, "press-reset", ("local reset",)),
-    Stage("local reset released", PASSIVE, "release-reset", ()),
-    Stage("outputs energised again", _ENERGISED, "", FEEDBACKS),
-    Stage("guard lock released", _UNLOCKED, "", ("guard locked", *VENTS)),
-    Stage(_AT_GUARD, _UNLOCKED, "open-guard", ("guard locked", "guard closed")),
-    Stage("ball on the tee", _OPEN, "place-ball", ("guard locked", "guard closed", "ball sensor")),
-    Stage("ball taken", _OPEN, "take-ball", ("guard locked", "guard closed")),
-    Stage("guard closed", _OPEN, "close-guard", ("guard locked",)),
-    Stage("guard locked", PASSIVE, "", ()),
+STAGES: tuple[Stage, ...] = tuple(
+    Stage(name, _OUTPUTS[outputs], act, tuple(changed))
+    for name, (outputs, act, changed) in _TABLES["stages"].items()
 )
 """The check, in its order."""
 _RESET_STAGES = ("local reset pressed", "local reset released")
@@ -327,19 +303,15 @@ def of_simulation(folder: Path) -> Regulator:
     return turn
 
 
-def act_in_simulation(folder: Path) -> Callable[[Act], None]:
-    """Return what acts at the inputs of the simulated plant with its files in `folder`."""
-
-    def act(one: Act) -> None:
-        with SurroundingsWriter(folder) as surroundings:
-            if one.field != "ball_present":
-                surroundings.change(**{one.field: one.value})  # type: ignore[arg-type]
-            elif one.value:
-                surroundings.place_ball()
-            else:
-                surroundings.take_ball()
-
-    return act
+def act_in_simulation(folder: Path, act: Act) -> None:
+    """Do `act` at the inputs of the simulated plant with its files in `folder`."""
+    with SurroundingsWriter(folder) as surroundings:
+        if act.field != "ball_present":
+            surroundings.change(**{act.field: act.value})  # type: ignore[arg-type]
+        elif act.value:
+            surroundings.place_ball()
+        else:
+            surroundings.take_ball()
 
 
 def in_simulation(folder: Path, service: float, atmosphere: float) -> OperatorIO:
@@ -353,6 +325,5 @@ def in_simulation(folder: Path, service: float, atmosphere: float) -> OperatorIO
         last[0] = min(pressure, service)
         turn(pressure)
 
-    return OperatorIO(
-        turned, act=act_in_simulation(folder), gauge=lambda: last[0] - atmosphere, timeout=SIMULATED_TIMEOUT
-    )
+    act = partial(act_in_simulation, folder)
+    return OperatorIO(turned, act=act, gauge=lambda: last[0] - atmosphere, timeout=SIMULATED_TIMEOUT)
