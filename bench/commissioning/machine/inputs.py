@@ -2,7 +2,7 @@
 
 A person acts, and the bench monitors all inputs at once. The stages of `inputs.toml` are the complete check:
 outputs, the person's act, and the inputs that then differ from the robot at rest. Over all stages each input
-has a unique column, so that two exchanged cables show each other's column. While the outputs are energised the
+has a unique column, so that two exchanged cables show each other's column. While outputs are energised the
 regulator is turned down to zero: the stop contacts open without air behind them.
 """
 
