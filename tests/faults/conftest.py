@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,12 @@ import pytest
 
 import bench.swing
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.faults.catalogue import Breakage, Event, Instant
 from bench.faults.matrix import Workbench
+from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile, load_profile
+from sim.faults import Fault
+from tests.faults.made_matrix import BREAKAGE, instant
 
 PROFILE = Path(bench.swing.__path__[0]) / "profiles" / "default.toml"
 
@@ -31,3 +36,16 @@ def configuration(profile: Profile) -> Configuration:
 @pytest.fixture(scope="session")
 def workbench(configuration: Configuration, profile: Profile) -> Workbench:
     return Workbench(configuration, profile, model_check=True)
+
+
+@pytest.fixture(scope="session")
+def run(workbench: Workbench, profile: Profile) -> Callable[..., CaseOutcome]:
+    """Return what runs a fault, or a breakage of the matrix by its name, at an instant or its name."""
+
+    def run_case(fault: Fault | str, at: Instant | str, event: Event = "") -> CaseOutcome:
+        when = instant(profile, at) if isinstance(at, str) else at
+        family = "access" if when.phase == "access" else "one fault"
+        what = BREAKAGE[fault] if isinstance(fault, str) else Breakage(fault, event, family)  # type: ignore[arg-type]
+        return workbench.run(what, when)
+
+    return run_case

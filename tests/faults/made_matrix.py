@@ -1,4 +1,4 @@
-"""Outcomes of faults as a test wants them, without a swing."""
+"""Rows and instants of the matrix by name, and outcomes of faults as a test wants them, without a swing."""
 
 from __future__ import annotations
 
@@ -6,9 +6,19 @@ from dataclasses import replace
 from itertools import cycle
 from typing import Any
 
-from bench.faults.catalogue import CATALOGUE, START, Breakage, Instant
+from bench.faults.catalogue import CATALOGUE, START, Breakage, Instant, instants_of, stopped_instants
 from bench.faults.summary import VERDICTS, summarise
 from bench.faults.verdict import CaseOutcome
+from bench.swing.profile import Profile
+
+BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}
+
+
+def instant(profile: Profile, name: str) -> Instant:
+    """Return the instant of the matrix called `name`, alone or during a stop."""
+    known = (*instants_of(profile), *stopped_instants(profile))
+    return next(instant for instant in known if instant.name == name)
+
 
 ORIGIN = {
     "commit": "0123456789ab",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -19,10 +18,9 @@ from bench.swing.profile import load_profile
 from sim.driver import SimDriver, hanging_pose
 from sim.faults import Fault
 from sim.plant import PlantParameters, build_plant
+from tests.compiled_only import needs_speed
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
+pytestmark = needs_speed
 
 PRESSURE_TIMEOUT = 500
 """Looks at the air of the address."""

@@ -27,7 +27,7 @@ from bench.faults.summary import commit, origin_of
 from bench.swing.profile import PHASES, Profile
 from sim.faults import Fault
 from tests.compiled_only import needs_speed
-from tests.faults.test_matrix import BREAKAGE, instant
+from tests.faults.made_matrix import BREAKAGE, instant
 
 
 def test_catalogue_families_have_rows_and_instants(profile: Profile) -> None:

@@ -5,7 +5,6 @@ First comes the stop, then, in the middle of it, a valve or an encoder breaks.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -15,15 +14,11 @@ from bench.faults.matrix import Workbench
 from bench.swing.profile import Profile
 from sim.faults import Fault
 from tests.benchmarks.during_stops import AS_THE_TABLE_SAYS, STOPS, stopped, unsafe
+from tests.compiled_only import needs_speed
+from tests.faults.made_matrix import instant
 from tests.sampling import release_except
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
-
-
-def instant_of(profile: Profile, name: str) -> Instant:
-    return next(instant for instant in instants_of(profile) if instant.name == name)
+pytestmark = needs_speed
 
 
 def broken(joint: str, opening: float, after: float) -> Fault:
@@ -48,7 +43,7 @@ VALVES = (
 def test_valve_stuck_open_during_stop_reacts_passive(
     workbench: Workbench, profile: Profile, at: str, stop: str, fault: Fault
 ) -> None:
-    bench = stopped(workbench, instant_of(profile, at), stop, fault)
+    bench = stopped(workbench, instant(profile, at), stop, fault)
     cut = np.flatnonzero(bench.record()["reaction"] == Reaction.PASSIVE)
     assert len(cut)
     assert cut[0] - round(fault.time / bench.period) <= 80
@@ -62,9 +57,9 @@ def test_valve_stuck_open_during_stop_reacts_passive(
 def test_encoder_lost_during_brake_keeps_brake_of_other_joints(
     workbench: Workbench, profile: Profile, joint: str, after: float, ahead: int
 ) -> None:
-    instant = Instant("committed", round(profile.impact_time / profile.period) - ahead, f"-{ahead} ms")
+    at = Instant("committed", round(profile.impact_time / profile.period) - ahead, f"-{ahead} ms")
     fault = Fault("encoder", f"{joint} encoder", "off", time=after)
-    bench = stopped(workbench, instant, "emergency stop", fault)
+    bench = stopped(workbench, at, "emergency stop", fault)
     assert not unsafe(bench)
     record, index = bench.record(), ["shoulder", "arm", "wrist"].index(joint)
     blind = record["reaction"] == Reaction.BLIND_BRAKE
@@ -81,8 +76,8 @@ def test_encoder_lost_during_brake_keeps_brake_of_other_joints(
 
 @pytest.mark.parametrize("ahead", [12, 16, 20, 24])
 def test_ball_struck_during_brake_is_no_fault(workbench: Workbench, profile: Profile, ahead: int) -> None:
-    instant = Instant("committed", round(profile.impact_time / profile.period) - ahead, f"-{ahead} ms")
-    bench = stopped(workbench, instant, "emergency stop", None)
+    at = Instant("committed", round(profile.impact_time / profile.period) - ahead, f"-{ahead} ms")
+    bench = stopped(workbench, at, "emergency stop", None)
     assert bench.plant_state["struck"][0]
     assert set(bench.record()["reaction"].tolist()) <= AS_THE_TABLE_SAYS
     assert bench.cause is Cause.EMERGENCY_STOP
@@ -93,7 +88,7 @@ def test_encoder_lost_during_brake_keeps_stop_share_low(
     workbench: Workbench, profile: Profile, joint: str
 ) -> None:
     fault = Fault("encoder", f"{joint} encoder", "off", time=0.2)
-    bench = stopped(workbench, instant_of(profile, "downswing 80 %"), "guard opened", fault)
+    bench = stopped(workbench, instant(profile, "downswing 80 %"), "guard opened", fault)
     assert not unsafe(bench)
     assert bench.loads().stop_share < 0.5
 
@@ -101,8 +96,8 @@ def test_encoder_lost_during_brake_keeps_stop_share_low(
 @pytest.mark.slow
 @pytest.mark.parametrize("stop", release_except({"guard opened"}, STOPS))
 def test_fault_free_stop_is_not_escalated(workbench: Workbench, profile: Profile, stop: str) -> None:
-    for instant in instants_of(profile):
-        if instant.phase not in ("standing", "homing", "return"):
-            bench = stopped(workbench, instant, stop, None)
-            assert Cause(int(bench.control["latest_cause"][0])) is STOPS[stop], instant
-            assert set(bench.record()["reaction"].tolist()) <= AS_THE_TABLE_SAYS, instant
+    for at in instants_of(profile):
+        if at.phase not in ("standing", "homing", "return"):
+            bench = stopped(workbench, at, stop, None)
+            assert Cause(int(bench.control["latest_cause"][0])) is STOPS[stop], at
+            assert set(bench.record()["reaction"].tolist()) <= AS_THE_TABLE_SAYS, at

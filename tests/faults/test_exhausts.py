@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import numba
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from bench.base.lifecycle import Request
 from bench.control.settings import holding_pressure
-from bench.faults.catalogue import CATALOGUE, Breakage, Instant, instants_of
+from bench.faults.catalogue import CATALOGUE
 from bench.faults.matrix import Workbench
+from bench.faults.verdict import CaseOutcome
 from sim.faults import Fault, own_records
+from tests.compiled_only import needs_speed
+from tests.faults.made_matrix import instant
 from tests.sampling import release_except
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
+pytestmark = needs_speed
 
+Run = Callable[..., CaseOutcome]
 THROTTLED = [b.fault for b in CATALOGUE if b.family == "access" and "exhaust" in b.fault.signal]
 SAMPLE = {
     "shoulder exhaust at 10 %",
@@ -28,17 +31,13 @@ SAMPLE = {
 INSTANTS = ("hold", "follow-through 10 %", "follow-through 80 %")
 
 
-def at(workbench: Workbench, name: str) -> Instant:
-    return next(instant for instant in instants_of(workbench.profile) if instant.name == name)
-
-
 @pytest.mark.parametrize("name", INSTANTS)
 @pytest.mark.parametrize("share", release_except({0.1}, [0.2, 0.1, 0.03]))
 def test_throttled_exhausts_guard_unlocks_below_holding_pressure(
     workbench: Workbench, name: str, share: float
 ) -> None:
     """The person presses the button again and again, and reads no gauge."""
-    bench = workbench.base(at(workbench, name))
+    bench = workbench.base(instant(workbench.profile, name))
     bench.stepper.plant = own_records(bench.stepper.plant)
     bench.stepper.break_with((Fault("throttled", "exhausts", "scale", share),))
     bench.advance(1, Request.STOP)
@@ -58,17 +57,16 @@ def test_throttled_exhausts_guard_unlocks_below_holding_pressure(
 @pytest.mark.parametrize(
     "fault", release_except(SAMPLE, THROTTLED, lambda fault: fault.name), ids=lambda fault: fault.name
 )
-def test_exhaust_fault_in_swing_is_safe_and_reports_cause(workbench: Workbench, fault: Fault) -> None:
+def test_exhaust_fault_in_swing_is_safe_and_reports_cause(run: Run, fault: Fault) -> None:
     """A verdict counts pressure and motion behind a released guard; trapped air may leave arms elsewhere."""
-    case = workbench.run(Breakage(fault, "stop"), at(workbench, "follow-through 40 %"))
+    case = run(fault, "follow-through 40 %", "stop")
     assert case.verdict == "safe" or case.reasons == (case.change,)
     named = "SUPPLY_VALVE" if fault.signal == "manifold exhaust" else "_EXHAUST"
     assert named in case.detected_by + case.record
 
 
-@pytest.mark.parametrize("instant", ["backswing 50 %", "backswing 90 %", "top 50 %"])
-def test_wrist_chamber_exhaust_clogged_reports_exhaust_cause(workbench: Workbench, instant: str) -> None:
+@pytest.mark.parametrize("at", ["backswing 50 %", "backswing 90 %", "top 50 %"])
+def test_wrist_chamber_exhaust_clogged_reports_exhaust_cause(run: Run, at: str) -> None:
     """The wrist falls while it vents: its small chamber is above the bound for a quarter of a second."""
-    fault = Fault("clogged", "wrist cylinder A exhaust", "scale", 0.1)
-    case = workbench.run(Breakage(fault, "stop"), at(workbench, instant))
+    case = run(Fault("clogged", "wrist cylinder A exhaust", "scale", 0.1), at, "stop")
     assert (case.verdict, case.detected_by) == ("safe", "WRIST_A_EXHAUST")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import numba
 import pytest
 
 from bench.simulation.plant_variation import healthy_plant
 from sim.plant import PlantParameters
 from tests.benchmarks.healthy_swings import run
+from tests.compiled_only import needs_speed
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
+@needs_speed
 def test_fault_free_swings_raise_no_alarm() -> None:
     (row,) = run(["--swings", "12"])
     assert (row.value, row.holds) == (0, True), row.note

@@ -37,14 +37,9 @@ from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.faults import KINDS, SIGNALS, sort_of
 from tests.compiled_only import needs_speed
-from tests.faults.made_matrix import ORIGIN, outcome, whole_matrix
+from tests.faults.made_matrix import BREAKAGE, ORIGIN, instant, outcome, whole_matrix
 
 ROOT = Path(__file__).parents[2]
-BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}
-
-
-def instant(profile: Profile, name: str) -> Instant:
-    return next(instant for instant in instants_of(profile) if instant.name == name)
 
 
 def test_catalogue_covers_every_signal_and_kind() -> None:

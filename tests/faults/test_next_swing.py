@@ -7,24 +7,14 @@ from collections.abc import Callable
 import pytest
 
 from bench.faults.case_run import next_swing
-from bench.faults.catalogue import CATALOGUE, Instant
-from bench.faults.matrix import Workbench, instants_for
+from bench.faults.catalogue import Instant
+from bench.faults.matrix import Workbench
 from bench.faults.summary import next_swing_text
 from bench.faults.verdict import CaseOutcome
 from sim.faults import Fault
 from tests.compiled_only import needs_speed
 
-BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}
 HOLD = Instant("hold", 0)
-
-
-@pytest.fixture
-def run(workbench: Workbench) -> Callable[[str, str], CaseOutcome]:
-    def run_case(name: str, at: str) -> CaseOutcome:
-        instants = {i.name: i for i in instants_for(BREAKAGE[name], workbench.profile)}
-        return workbench.run(BREAKAGE[name], instants[at])
-
-    return run_case
 
 
 @needs_speed

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
 from bench.base.lifecycle import Request
 from bench.config import Configuration, load_configuration
 from bench.control.settings import build_controller
-from bench.faults.catalogue import CATALOGUE, Instant, instants_of, stopped_instants
+from bench.faults.catalogue import Instant
 from bench.faults.matrix import Workbench
 from bench.faults.verdict import CaseOutcome
 from bench.simulation.plant_variation import healthy_plant, healthy_run
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from tests.compiled_only import needs_speed
+from tests.faults.made_matrix import BREAKAGE, instant
 
-pytestmark = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
+pytestmark = needs_speed
+Run = Callable[..., CaseOutcome]
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +31,6 @@ def high_speed() -> Workbench:
     c = load_configuration(Path("high_speed")).with_club(profile.club)
     checked: Configuration = c.for_profile(profile, file)
     return Workbench(checked, profile, model_check=True)
-
-
-def case_of(workbench: Workbench, breakage: str, instant: str) -> CaseOutcome:
-    """Return one case of the matrix by its names."""
-    known = (*instants_of(workbench.profile), *stopped_instants(workbench.profile))
-    (what,) = (row for row in CATALOGUE if row.name == breakage)
-    (when,) = (row for row in known if row.name == instant)
-    return workbench.run(what, when)
 
 
 def highest_supply(workbench: Workbench) -> float:
@@ -63,40 +56,38 @@ def test_manifold_pressure_fault_free_swing_stays_below_relief(
 
 
 @pytest.mark.slow
-def test_supply_surge_when_committed_limits_head_speed(
-    high_speed: Workbench,
-) -> None:
+def test_supply_surge_when_committed_limits_head_speed(high_speed: Workbench) -> None:
     """The manifold's relief valve bounds it: without one the head reached 106 %."""
-    case = case_of(high_speed, "supply surging to 140 %", "committed 10 %")
+    at = instant(high_speed.profile, "committed 10 %")
+    case = high_speed.run(BREAKAGE["supply surging to 140 %"], at)
     assert (case.verdict, case.detected_by) == ("safe", "SUPPLY_PRESSURE")
     assert 1.0 < case.head_share < 1.05
 
 
-@pytest.mark.parametrize("instant", ["committed 10 %", "impact -10 ms"])
-def test_chamber_relief_stuck_open_during_brake_keeps_brake(workbench: Workbench, instant: str) -> None:
+@pytest.mark.parametrize("at", ["committed 10 %", "impact -10 ms"])
+def test_chamber_relief_stuck_open_during_brake_keeps_brake(run: Run, at: str) -> None:
     """The other chamber fits by its own limit: no stuck spool, and no cut of the air that still brakes."""
-    case = case_of(workbench, "shoulder vane A relief stuck open", instant)
+    case = run("shoulder vane A relief stuck open", at)
     assert (case.verdict, case.detected_by, case.reaction) == ("safe", "SHOULDER_SENSOR", "BRAKE")
     assert case.stop_share < 0.9
 
 
-def test_arm_valve_stuck_open_in_emergency_stop_is_safe(workbench: Workbench) -> None:
-    case = case_of(workbench, "arm valve stuck open, during an emergency stop", "backswing 90 % +60 ms")
+def test_arm_valve_stuck_open_in_emergency_stop_is_safe(run: Run) -> None:
+    case = run("arm valve stuck open, during an emergency stop", "backswing 90 % +60 ms")
     assert case.verdict == "safe", case.reasons
 
 
 @pytest.mark.parametrize("event", ["emergency stop", "guard opened"])
-def test_safety_relay_welded_shut_stop_is_safe(workbench: Workbench, event: str) -> None:
-    for instant in ("hold", "downswing 80 %", "follow-through 10 %"):
-        case = case_of(workbench, f"safety relay welded shut, then {event}", instant)
-        assert case.verdict in ("safe", "harmless"), (instant, case.reasons)
+def test_safety_relay_welded_shut_stop_is_safe(run: Run, event: str) -> None:
+    for at in ("hold", "downswing 80 %", "follow-through 10 %"):
+        case = run(f"safety relay welded shut, then {event}", at)
+        assert case.verdict in ("safe", "harmless"), (at, case.reasons)
 
 
 def test_vents_stuck_shut_emergency_stop_opens_vents(workbench: Workbench) -> None:
-    rows = [row for row in CATALOGUE if row.name == "vents stuck shut, during an emergency stop"]
-    (instant,) = (i for i in stopped_instants(workbench.profile) if i.name == "top 50 % +100 ms")
-    bench = workbench.base(instant)
-    bench.stepper.break_with(rows[0].faults, watchdog=workbench.configuration.driver.watchdog)
+    breakage = BREAKAGE["vents stuck shut, during an emergency stop"]
+    bench = workbench.base(instant(workbench.profile, "top 50 % +100 ms"))
+    bench.stepper.break_with(breakage.faults, watchdog=workbench.configuration.driver.watchdog)
     bench.plant_state["emergency_stop_clear"] = False
     bench.advance(6000)
     assert np.all(bench.plant_state["vent_open"][0] == 1)

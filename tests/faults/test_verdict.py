@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import pytest
 
 from bench.faults import matrix
 from bench.faults.catalogue import Breakage, Instant
 from bench.faults.matrix import Workbench
 from sim.faults import Fault
+from tests.compiled_only import needs_speed
 
 
 def test_keep_above_limit_drops_oldest() -> None:
@@ -21,7 +21,7 @@ def test_keep_above_limit_drops_oldest() -> None:
 HEAD_LOST = Breakage(Fault("club head lost", "club head", "off"))
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes without compilation")
+@needs_speed
 @pytest.mark.parametrize(("before_ball", "share"), [(42, 0.72), (6, 0.99)], ids=["42 ms", "6 ms"])
 def test_lost_club_head_share_uses_release_speed(
     workbench: Workbench, before_ball: int, share: float
