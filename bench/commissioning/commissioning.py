@@ -31,13 +31,13 @@ from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.commissioning_step import (
     LEARNED_FILE,
     SWING_FILE,
+    Arm,
     CommissioningStep,
     MachineFault,
     NamedStep,
     ParameterEstimate,
     RobotEstimate,
     StepResult,
-    SwungRobot,
     Traces,
 )
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
@@ -365,12 +365,12 @@ def commission(
 def commission_swings(
     state: Commissioning,
     known: Configuration,
-    robot: SwungRobot,
+    arm: Arm,
     *,
     on_step: Callable[[NamedStep], None] = lambda step: None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> None:
-    """Do the swinging steps of `state` that are not done, on `robot`, which is `known` as measured.
+    """Do the swinging steps of `state` that are not done; `arm` arms the robot, which is `known` as measured.
 
     Raises:
         MachineFault: a step found the machine wrong; the state says so.
@@ -382,11 +382,11 @@ def commission_swings(
     for step in SWINGING_STEPS:
         if state.has_done(step):
             continue
-        diagnosed = DiagnosedRobot(robot, state.values, records)
+        diagnosed = DiagnosedRobot(arm, state.values, records)
         with _doing(state, step, on_step, "records") as done:
             try:
                 swung = known_with_swing(known, state.folder) if state.has_done(SWINGS) else known
-                done(step.swing(diagnosed, swung, state.folder, progress))
+                done(step.swing(diagnosed.series, swung, state.folder, progress))
             except Refused as error:
                 raise diagnosed.explained(error) from error.__cause__
 

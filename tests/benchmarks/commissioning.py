@@ -28,7 +28,7 @@ from bench.commissioning.machine.commissioning_step import (
     LEARNED_FILE,
     SWING_FILE,
     RobotEstimate,
-    SimulatedRobot,
+    SimulatedSeries,
 )
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.swings.robot_swings import fastest_swing
@@ -197,7 +197,7 @@ def _swung_wrongly(console: Console, configuration: Configuration) -> list[Row]:
     bench, found = bench_of(known, profile), measured_values(c.plant)
     rows = []
     for name, case in swung_wrongly(true_robot(c.plant, 1)).items():
-        series = SimulatedRobot(case.robot, case.faults).series(bench)
+        series = SimulatedSeries(bench, case.robot, case.faults)
         try:
             made = series.swing(profile)
         except ReturnFailed as error:

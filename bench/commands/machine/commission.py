@@ -30,7 +30,7 @@ from drivers.base.ranges import read_number
 if TYPE_CHECKING:
     from bench.calibration.calibration import Entry, SeenInputs
     from bench.commissioning.commissioning import Commissioning
-    from bench.commissioning.machine.commissioning_step import NamedStep, RobotEstimate, SwungRobot
+    from bench.commissioning.machine.commissioning_step import Arm, NamedStep, RobotEstimate
     from bench.commissioning.machine.driver_machine import SimulatedMachine
     from bench.commissioning.machine.inputs import OperatorIO
     from bench.commissioning.machine.machine_process import LiveRobot
@@ -192,7 +192,7 @@ def _commission(
             measured.set_supply(float("inf"))
             _write_robot(file, state, known, configuration.envelope)
             robot = load_configuration(file)
-            commission_swings(state, robot, machine.swung, on_step=on_step, progress=show)
+            commission_swings(state, robot, machine.arm, on_step=on_step, progress=show)
             swung = known_with_swing(load_configuration(file), state.folder).envelope
             _write_robot(file, state, known, configuration.envelope, swung.max_following_error)
             bar.update(task, completed=len(state.done))
@@ -298,7 +298,7 @@ class _Machine(NamedTuple):
     """A robot in the forms that the steps take."""
 
     measured: SimulatedMachine | LiveRobot
-    swung: SwungRobot
+    arm: Arm
     hands: OperatorIO
     observe: Callable[[], tuple[str, ...]]
     """Returns notes after a measuring step."""
@@ -309,13 +309,17 @@ def _simulated(
     configuration: Configuration, truth: Configuration, *, inputs_only: bool = False
 ) -> Iterator[_Machine]:
     """Yield the robot of `truth`, simulated in lock-step."""
-    from bench.commissioning.machine.commissioning_step import SimulatedRobot
+    from bench.commissioning.machine.commissioning_step import SimulatedSeries
     from bench.commissioning.machine.driver_machine import SimulatedMachine
 
     faults = tuple(truth.faults.values())
     with SimulatedMachine(truth.plant, configuration.plant, faults, inputs_only=inputs_only) as machine:
-        swung = SimulatedRobot(truth.plant, faults)
-        yield _Machine(machine, swung, machine.hands, lambda: (_loads(machine),))
+        yield _Machine(
+            machine,
+            lambda bench: SimulatedSeries(bench, truth.plant, faults),
+            machine.hands,
+            lambda: (_loads(machine),),
+        )
 
 
 @contextmanager
@@ -347,7 +351,7 @@ def _live(
             hands = _hands_of_person(c, regulator, bar, say)
             moving = live_robot(c, owner, hands, inputs_only=inputs_only)
         with moving as robot:
-            yield _Machine(robot, robot, hands, tuple)
+            yield _Machine(robot, robot.series, hands, tuple)
 
 
 def _hands_of_person(

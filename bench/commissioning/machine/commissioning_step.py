@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
@@ -18,7 +18,6 @@ from bench.simulation.simulated_bench import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
 from drivers.base import CHAMBERS, JOINTS, Triple
 from sim.driver import joint_travel
-from sim.faults import Fault
 from sim.impact import Delivery
 from sim.kane import mass_matrix
 from sim.plant import ACTUATOR_KEYS, PlantParameters
@@ -321,15 +320,8 @@ class SwingSeries(Protocol):
         """Return the mark that the ball of the last `swing` left on the face; None where it is not read."""
 
 
-class SwungRobot(Protocol):
-    """A robot that can be armed for swings."""
-
-    def series(self, bench: Bench) -> SwingSeries:
-        """Arm `bench`, whose model is the robot as it is known.
-
-        Raises:
-            Refused: the robot does not reach its address.
-        """
+Arm = Callable[[Bench], SwingSeries]
+"""Arms a bench, whose model is the robot as it is known; raises Refused if it does not reach its address."""
 
 
 class SimulatedSeries(Series):
@@ -338,18 +330,6 @@ class SimulatedSeries(Series):
     def face_mark(self, swing: SeriesSwing) -> Mark | None:
         """Return the mark that the ball of `swing` left."""
         return read_mark(swing.delivery)
-
-
-class SimulatedRobot:
-    """The simulated plant that truly moves, with its faults."""
-
-    def __init__(self, truth: PlantParameters, faults: Sequence[Fault] = ()) -> None:
-        """Swing `truth` with `faults`."""
-        self._truth, self._faults = truth, tuple(faults)
-
-    def series(self, bench: Bench) -> SimulatedSeries:
-        """Arm `bench` on it."""
-        return SimulatedSeries(bench, self._truth, self._faults)
 
 
 SWING_FILE, LEARNED_FILE = "swing.toml", "learned.toml"
@@ -383,7 +363,7 @@ class NamedStep:
 class SwingingStep(NamedStep):
     """A step that swings the robot as it was measured."""
 
-    swing: Callable[[SwungRobot, Configuration, Path, Callable[[str], None]], StepResult]
+    swing: Callable[[Arm, Configuration, Path, Callable[[str], None]], StepResult]
     """Swings the robot as measured, leaves files in the folder, and reports the present part.
 
     Raises MachineFault if it does not swing as a right one does, Refused if it does not reach its address.

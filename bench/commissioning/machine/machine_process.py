@@ -164,7 +164,7 @@ class MachineLost(BenchError):
 
 
 class LiveRobot:
-    """A robot in real time: a CommissionedMachine and a SwungRobot."""
+    """A robot in real time: a CommissionedMachine and a SwingSeries."""
 
     def __init__(self, child: Child, connection: Connection, hands: OperatorIO) -> None:
         """Give orders to `child` by `connection`, with the `hands` of the person next to the robot."""
@@ -201,7 +201,7 @@ class LiveRobot:
         with suppress(BenchError, OSError):
             self._order("make_passive")
 
-    # A SwungRobot --------------------------------------------------------------------------------------
+    # A SwingSeries -------------------------------------------------------------------------------------
 
     def series(self, bench: Bench) -> LiveRobot:
         """Arm `bench` on the robot."""

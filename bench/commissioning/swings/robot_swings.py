@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.lifecycle import Phase
-from bench.commissioning.machine.commissioning_step import LEARNED_FILE, StepResult, SwingingStep, SwungRobot
+from bench.commissioning.machine.commissioning_step import LEARNED_FILE, Arm, StepResult, SwingingStep
 from bench.commissioning.machine.machine import at_rows
 from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
@@ -201,7 +201,7 @@ def make_healthy_limits(
 
 
 def _healthy_limits(
-    robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+    arm: Arm, known: Configuration, folder: Path, progress: Callable[[str], None]
 ) -> StepResult:
     """Make the limits of the learned profile in `folder`, and store them next to it.
 

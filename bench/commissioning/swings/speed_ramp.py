@@ -25,6 +25,7 @@ from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.commissioning.machine.commissioning_step import (
     LEARNED_FILE,
     SWING_FILE,
+    Arm,
     MachineFault,
     PredictionFails,
     PredictionStopped,
@@ -32,7 +33,6 @@ from bench.commissioning.machine.commissioning_step import (
     SwingingStep,
     SwingSeries,
     SwingStopped,
-    SwungRobot,
 )
 from bench.commissioning.swings.robot_swings import (
     design_at,
@@ -92,7 +92,7 @@ class SwingDeviation(NamedTuple):
 
 
 def rising_swings(
-    robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+    arm: Arm, known: Configuration, folder: Path, progress: Callable[[str], None]
 ) -> StepResult:
     """Design the swings for the robot as `known`, make them, and store the fastest in `folder`.
 
@@ -113,14 +113,14 @@ def rising_swings(
     notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
     for share in SLOW_SHARES:
         progress(f"swing of {100 * share:.0f} %")
-        notes += swung_slowly(robot, known, full, share, highest, folder)
+        notes += swung_slowly(arm, known, full, share, highest, folder)
     for share, designed in zip(DESIGNED_SHARES, (next_fastest, full), strict=True):
         limited = with_following_limits(known, designed)
         if designed is full:  # before the club comes at its full speed
             limited = make_healthy_limits(limited, full, folder / SWING_FILE, progress)
         progress(f"swing of {100 * share:.0f} %")
         bench = bench_of(limited, designed)._replace(as_known=designed is full)
-        notes.append(_swung(robot, bench, share, folder))
+        notes.append(_swung(arm, bench, share, folder))
     save_profile(folder / SWING_FILE, full)
     return StepResult((), tuple(notes))
 
@@ -137,7 +137,7 @@ SWINGS = SwingingStep(
 
 
 def swung_slowly(
-    robot: SwungRobot, known: Configuration, full: Profile, share: float, speed: float, folder: Path
+    arm: Arm, known: Configuration, full: Profile, share: float, speed: float, folder: Path
 ) -> list[str]:
     """Swing at `share` of the `speed` (m/s) of `full`, and return the notes for the report.
 
@@ -149,13 +149,13 @@ def swung_slowly(
     """
     slow = slow_swing(known, full, share, speed)
     try:
-        return [_swung(robot, slow.bench, slow.share, folder)]
+        return [_swung(arm, slow.bench, slow.share, folder)]
     except MachineFault as wrong:
         if slow.designed or not isinstance(wrong, SwingStopped):
             raise
         note = f"{wrong.location} {wrong.found}: designed instead"
     slow = slow_swing(known, full, share, speed, stretched=False)
-    return [note, _swung(robot, slow.bench, slow.share, folder)]
+    return [note, _swung(arm, slow.bench, slow.share, folder)]
 
 
 def _with_placed_gains(known: Configuration) -> Configuration:
@@ -231,7 +231,7 @@ def _prediction_fails(bench: Bench, fastest: float) -> str:
     return "" if speed <= fastest else f"{speed:.1f} m/s"
 
 
-def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:
+def _swung(arm: Arm, bench: Bench, share: float, folder: Path) -> str:
     """Swing `bench` once, and return the note on it; raises MachineFault if it is not as predicted."""
     ball, location = share >= DESIGNED_SHARES[0], f"swing of {100 * share:.0f} %"
     model = Series(bench, bench.model)
@@ -242,7 +242,7 @@ def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:
         said = f"{_STOPPED}{CAUSE_TEXT[predicted[0].cause]}"
         action = "Look at friction and dead bands: the robot as measured cannot make a swing designed for it."
         raise PredictionStopped(f"prediction of the {location}", said, "a whole swing", action)
-    series = robot.series(bench)
+    series = arm(bench)
     made = series.swing(bench.profile, ball=ball)
     np.savez_compressed(folder / f"records/6-swing-{100 * share:.0f}.npz", cycles=made.cycles)
     require_safe(series.loads(), location)
@@ -373,9 +373,9 @@ misread."""
 
 
 def learned_swing(
-    robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+    arm: Arm, known: Configuration, folder: Path, progress: Callable[[str], None]
 ) -> StepResult:
-    """Learn the profile of the step before on `robot`, and store it corrected in `folder`.
+    """Learn the profile of the step before, and store it corrected in `folder`.
 
     Raises:
         MachineFault: the tolerances are not reached, or a load is beyond a rating.
@@ -384,7 +384,7 @@ def learned_swing(
     profile = load_profile(folder / SWING_FILE)
     progress("the response of the measured robot")
     problem = prepare(bench_of(known, profile))
-    series, made = robot.series(problem.bench), list[SeriesSwing]()
+    series, made = arm(problem.bench), list[SeriesSwing]()
     marks = _Marks(problem, series)
 
     def swing(weights: NDArray[np.float64]) -> ObservedSwing:

@@ -17,12 +17,12 @@ from scipy.optimize import minimize_scalar
 
 from bench.base.errors import Refused
 from bench.commissioning.machine.commissioning_step import (
+    Arm,
     MachineFault,
     Mark,
     ParameterEstimate,
     PredictionFails,
     SwingSeries,
-    SwungRobot,
 )
 from bench.commissioning.machine.driver_machine import Stalled
 from bench.commissioning.machine.machine import Array
@@ -379,11 +379,14 @@ def _tried(cause: SwingCause, value: float, misfit: SwingMisfit) -> FittedCause:
 
 
 class DiagnosedRobot:
-    """A SwungRobot and its SwingSeries: a swing that a wrong machine explains is the last one."""
+    """A robot whose last swing is one that a wrong machine explains."""
 
-    def __init__(self, robot: SwungRobot, found: Sequence[ParameterEstimate], records: Path) -> None:
-        """Look at the swings of `robot`, of which values were `found`; wrong ones are stored in `records`."""
-        self._robot, self._found, self._records = robot, found, records
+    def __init__(self, arm: Arm, found: Sequence[ParameterEstimate], records: Path) -> None:
+        """Look at swings of the robot that `arm` arms, of which values were `found`.
+
+        Wrong ones are stored in `records`.
+        """
+        self._arm, self._found, self._records = arm, found, records
         self._series: SwingSeries
         self._model: PlantParameters
         self.last: Diagnosis | None = None
@@ -398,7 +401,7 @@ class DiagnosedRobot:
         watched = bench._replace(envelope=bench.envelope.with_model_check("always"))
         self._model = bench.model
         try:
-            self._series = self._robot.series(watched)
+            self._series = self._arm(watched)
         except ArmingFailed as error:
             raise self._kept(error) from None
         return self

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -10,37 +11,35 @@ import pytest
 from bench.commissioning.machine.commissioning_step import (
     LEARNED_FILE,
     SWING_FILE,
-    SimulatedRobot,
+    Mark,
     SimulatedSeries,
     SwingSeries,
     read_mark,
 )
 from bench.commissioning.swings.speed_ramp import LEARNING, bench_of
 from bench.config import Configuration
-from bench.simulation.simulated_bench import Bench, Series
+from bench.simulation.simulated_bench import Series, SeriesSwing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile, save_profile
 from sim.impact import Delivery
 from tests.compiled_only import needs_speed
 
 
-class Unread(SimulatedRobot):
+class Unread(SimulatedSeries):
     """A robot whose marks are not read."""
 
-    def series(self, bench: Bench) -> SimulatedSeries:
-        made = super().series(bench)
-        made.face_mark = lambda swing: None  # type: ignore[method-assign]
-        return made
+    def face_mark(self, swing: SeriesSwing) -> Mark | None:
+        return None
 
 
-class TouchedBall(SimulatedRobot):
+class TouchedBall(SimulatedSeries):
     """A robot whose first mark is that of another ball."""
 
-    def series(self, bench: Bench) -> SimulatedSeries:
-        made = super().series(bench)
-        read, first = made.face_mark, [(3.0, -31.0)]
-        made.face_mark = lambda swing: first.pop() if first else read(swing)  # type: ignore[method-assign]
-        return made
+    first = True
+
+    def face_mark(self, swing: SeriesSwing) -> Mark | None:
+        other, self.first = self.first, False
+        return (3.0, -31.0) if other else super().face_mark(swing)
 
 
 def test_read_mark_rounds_to_half_millimetre() -> None:
@@ -58,8 +57,8 @@ def test_learned_swing_face_marks_correct_length_error(tmp_path: Path, configura
     profile = load_profile(find_profile("default"))
     save_profile(tmp_path / SWING_FILE, profile)
     strikes = []
-    for kind in (SimulatedRobot, Unread, TouchedBall):
-        result = LEARNING.swing(kind(longer), configuration, tmp_path, lambda what: None)
+    for kind in (SimulatedSeries, Unread, TouchedBall):
+        result = LEARNING.swing(partial(kind, plant=longer), configuration, tmp_path, lambda what: None)
         learned = load_profile(tmp_path / LEARNED_FILE)
         swung: SwingSeries = Series(bench_of(configuration, learned), longer)  # type: ignore[assignment]
         delivery = swung.swing(learned).delivery

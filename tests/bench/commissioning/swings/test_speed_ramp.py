@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause
-from bench.commissioning.machine.commissioning_step import MachineFault, SimulatedRobot, SimulatedSeries
+from bench.commissioning.machine.commissioning_step import Arm, MachineFault, SimulatedSeries
 from bench.commissioning.swings import speed_ramp
 from bench.commissioning.swings.robot_swings import FastestSwing, slowed
 from bench.commissioning.swings.speed_ramp import (
@@ -31,7 +32,6 @@ from bench.simulation.plant_variation import Variation
 from bench.simulation.safety import Loads
 from bench.simulation.simulated_bench import Bench, SeriesSwing
 from bench.swing.profile import Profile
-from sim.plant import PlantParameters
 from tests.compiled_only import needs_speed
 
 GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 2.0, 4.0], [3.0, 2.0, 4.0]]))
@@ -66,7 +66,7 @@ def test_slowed_swing_head_speed_matches_share(
 ) -> None:
     slow = slowed(default, 0.5, configuration)
     bench = bench_of(configuration, slow)
-    right = SimulatedRobot(configuration.plant).series(bench)
+    right = SimulatedSeries(bench, configuration.plant)
     predicted = right.swing(slow, ball=False)
     found = deviation(bench, predicted, right.swing(slow, ball=False))
     assert found.measured == pytest.approx(0.5 * default.delivery["head_speed_mps"], rel=0.15)
@@ -74,7 +74,7 @@ def test_slowed_swing_head_speed_matches_share(
     require_safe(right.loads(), "swing of 50 %")
 
     stiff = Variation(friction=(3.0, 3.0, 3.0), flow=(0.6, 0.6, 0.6)).applied_to(configuration.plant)
-    other = SimulatedRobot(stiff).series(bench).swing(slow, ball=False)
+    other = SimulatedSeries(bench, stiff).swing(slow, ball=False)
     with pytest.raises(MachineFault, match="swing of 50 %"):
         require_as_predicted(deviation(bench, predicted, other), other.cause, "swing of 50 %")
 
@@ -84,7 +84,7 @@ def test_slow_swing_downswing_velocity_deviation_is_small(
     configuration: Configuration, default: Profile
 ) -> None:
     slow = slow_swing(configuration, default, 0.4, SPEED)
-    swing = SimulatedRobot(configuration.plant).series(slow.bench).swing(slow.bench.profile, ball=False)
+    swing = SimulatedSeries(slow.bench, configuration.plant).swing(slow.bench.profile, ball=False)
     begins = slow.bench.profile.begins
     rows = swing.cycles[begins[3] : begins[5]]
     deviation_rms = np.sqrt(np.mean((rows["velocity"] - rows["reference_velocity"]) ** 2, axis=0))
@@ -192,23 +192,11 @@ def test_require_as_predicted_prediction_spread_widens_limits() -> None:
     require_as_predicted(GOOD._replace(measured=1.13 * 30.0), Cause.NONE, "swing of 100 %", spread=spread)
 
 
-class _Stumbling:
-    """A robot that stops in every swing that is not designed."""
+class _Stumbling(SimulatedSeries):
+    """A robot that stops in every swing."""
 
-    def __init__(self, truth: PlantParameters, profile: Profile) -> None:
-        self.truth, self.profile, self.benches = truth, profile, list[Bench]()
-
-    def series(self, bench: Bench) -> SimulatedSeries:
-        self.benches.append(bench)
-        made = SimulatedRobot(self.truth).series(bench)
-        if bench.profile is not self.profile:
-            swing = made.swing
-
-            def stopped(profile: Profile, *, ball: bool = True) -> SeriesSwing:
-                return swing(profile, ball=ball)._replace(cause=Cause.WRIST_LEVER)
-
-            made.swing = stopped  # type: ignore[method-assign, assignment]
-        return made
+    def swing(self, *given: Any, ball: bool = True) -> SeriesSwing:
+        return super().swing(*given, ball=ball)._replace(cause=Cause.WRIST_LEVER)
 
 
 @needs_speed
@@ -242,8 +230,7 @@ def test_rising_swings_full_swing_uses_generated_limits(
         "_swung": swung,
     }.items():
         monkeypatch.setattr(speed_ramp, name, stand_in)
-    robot = SimulatedRobot(configuration.plant)
-    SWINGS.swing(robot, configuration, tmp_path, lambda what: None)
+    SWINGS.swing(cast("Arm", None), configuration, tmp_path, lambda what: None)
     assert made == ["slower False False", "limits of default", "default True True"]
 
 
@@ -254,13 +241,19 @@ def test_swung_slowly_stopped_swing_is_designed_once(
     """Near the top friction lets a slow robot slip, in one swing and not in its prediction."""
     (tmp_path / "records").mkdir()
     monkeypatch.setattr(speed_ramp, "design_at", lambda *_: default)
-    robot = _Stumbling(configuration.plant, default)
+    benches, whole = list[Bench](), [default]
+
+    def arm(bench: Bench) -> SimulatedSeries:
+        benches.append(bench)
+        kind = SimulatedSeries if any(bench.profile is one for one in whole) else _Stumbling
+        return kind(bench, configuration.plant)
+
     known = replace(configuration, envelope=configuration.envelope.with_model_check("off"))
     speed = default.delivery["head_speed_mps"]
-    notes = speed_ramp.swung_slowly(robot, known, default, 0.6, speed, tmp_path)
-    assert [bench.profile is default for bench in robot.benches] == [False, True]
+    notes = speed_ramp.swung_slowly(arm, known, default, 0.6, speed, tmp_path)
+    assert [bench.profile is default for bench in benches] == [False, True]
     assert "designed instead" in notes[0]
     assert "predicted" in notes[1]
-    robot.profile = replace(default, name="another")
+    whole.clear()
     with pytest.raises(MachineFault, match="stopped"):
-        speed_ramp.swung_slowly(robot, known, default, 0.6, speed, tmp_path)
+        speed_ramp.swung_slowly(arm, known, default, 0.6, speed, tmp_path)

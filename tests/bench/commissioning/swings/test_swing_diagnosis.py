@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ import pytest
 from bench.base.errors import Refused
 from bench.base.lifecycle import Phase
 from bench.commissioning.machine.commissioning_step import (
+    Arm,
     MachineFault,
     PredictionFails,
-    SimulatedRobot,
     SimulatedSeries,
 )
 from bench.commissioning.swings.short_predictions import RecordedSwing
@@ -39,7 +40,7 @@ def diagnosed(configuration: Configuration, profile: Profile, name: str) -> tupl
     """Return the diagnosis of a swing of the case `name`, and why it is unsafe."""
     plant = configuration.plant
     case = swung_wrongly(true_robot(plant, 1))[name]
-    series = SimulatedRobot(case.robot, case.faults).series(bench_of(configuration, profile))
+    series = SimulatedSeries(bench_of(configuration, profile), case.robot, case.faults)
     try:
         made = series.swing(profile)
     except ReturnFailed as error:
@@ -50,7 +51,7 @@ def diagnosed(configuration: Configuration, profile: Profile, name: str) -> tupl
 
 def test_recorded_swing_true_plant_errors_are_small(configuration: Configuration, default: Profile) -> None:
     plant = configuration.plant
-    made = SimulatedRobot(plant).series(bench_of(configuration, default)).swing(default)
+    made = SimulatedSeries(bench_of(configuration, default), plant).swing(default)
     recorded = RecordedSwing(made.cycles, plant)
     assert len(recorded.contacts) == 1
     scatter = np.sqrt(np.mean(np.square(recorded.errors(plant)), axis=0))
@@ -74,8 +75,11 @@ def test_diagnosed_robot_explained_swing_raises_machine_fault(
     configuration: Configuration, default: Profile, tmp_path: Path
 ) -> None:
     case, bench = CASES["supply sags"], bench_of(configuration, default)
-    robot = SimulatedRobot(case.robot, case.faults)
-    watched = DiagnosedRobot(robot, measured_values(configuration.plant), tmp_path)
+    watched = DiagnosedRobot(
+        lambda bench: SimulatedSeries(bench, case.robot, case.faults),
+        measured_values(configuration.plant),
+        tmp_path,
+    )
     with pytest.raises(MachineFault, match=r"supply: it sags(?s:.)*clogged filter") as found:
         watched.series(bench).swing(default)
     assert (tmp_path / "wrong-swing.npz").exists()
@@ -87,12 +91,7 @@ def test_diagnosed_robot_series_enables_model_check(
 ) -> None:
     armed = list[Bench]()
 
-    class Noting(SimulatedRobot):
-        def series(self, bench: Bench) -> SimulatedSeries:
-            armed.append(bench)
-            return None  # type: ignore[return-value]
-
-    DiagnosedRobot(Noting(configuration.plant), (), tmp_path).series(bench_of(configuration, default))
+    DiagnosedRobot(cast("Arm", armed.append), (), tmp_path).series(bench_of(configuration, default))
     parameters = armed[0].controller()
     assert parameters.model["check"][0]
     assert np.isfinite(parameters.model["air"][0, Phase.DOWNSWING]).all()
@@ -101,24 +100,19 @@ def test_diagnosed_robot_series_enables_model_check(
 def test_diagnosed_robot_failed_arming_stores_records(
     configuration: Configuration, default: Profile, tmp_path: Path
 ) -> None:
-    class Failing(SimulatedRobot):
-        def series(self, bench: Bench) -> SimulatedSeries:
-            error = ArmingFailed(
-                "homing", "encoder R1 jumps", "state READY", "Follow the text, then --resume."
-            )
-            error.cycles = np.zeros(7, CYCLE)
-            raise copy.copy(error)  # as another process hands it over
+    def failing(bench: Bench) -> SimulatedSeries:
+        error = ArmingFailed("homing", "encoder R1 jumps", "state READY", "Follow the text, then --resume.")
+        error.cycles = np.zeros(7, CYCLE)
+        raise copy.copy(error)  # as another process hands it over
 
-    watched = DiagnosedRobot(Failing(configuration.plant), (), tmp_path / "records")
+    watched = DiagnosedRobot(failing, (), tmp_path / "records")
     with pytest.raises(Refused, match=r"encoder R1 jumps; records in .*failed-arming\.npz"):
         watched.series(bench_of(configuration, default))
     assert len(np.load(tmp_path / "records" / "failed-arming.npz")["cycles"]) == 7
 
 
-def test_diagnosed_robot_unexplained_fault_reports_misfit(
-    configuration: Configuration, tmp_path: Path
-) -> None:
-    watched = DiagnosedRobot(SimulatedRobot(configuration.plant), (), tmp_path)
+def test_diagnosed_robot_unexplained_fault_reports_misfit(tmp_path: Path) -> None:
+    watched = DiagnosedRobot(cast("Arm", None), (), tmp_path)
     error = Refused("swing of 60 %", "30 m/s", "26 m/s", "Look.")
     assert watched.explained(error) is error, "nothing has swung"
     watched.last = Diagnosis(None, (), 0.1, np.full(3, 0.02), np.full(3, 100.0), 1.0)
