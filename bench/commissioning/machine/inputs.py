@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.base.errors import BenchError, ExitCode
-from bench.commissioning.machine.commissioning_step import Mark
+from bench.commissioning.machine.commissioning_step import MachineFault, Mark
 from drivers.base import PASSIVE, Command, Readings
 from sim.exchange import SurroundingsWriter
 
@@ -111,20 +111,6 @@ def stages(*, local_reset: bool) -> tuple[Stage, ...]:
     return tuple(stage for stage in STAGES if local_reset or stage.name not in _RESET_STAGES)
 
 
-class InputFinding(NamedTuple):
-    """Something wrong with an input."""
-
-    location: str
-    found: str
-    expected: str
-    action: str
-
-    @property
-    def text(self) -> str:
-        """The finding as a sentence."""
-        return f"{self.location}: {self.found}; expected {self.expected}. {self.action}"
-
-
 Column = tuple[bool, ...]
 
 
@@ -137,18 +123,18 @@ def fitted(readings: Readings, *, local_reset: bool) -> tuple[str, ...]:
     )
 
 
-def judged(done: Sequence[Stage], seen: Sequence[Readings], names: Sequence[str]) -> list[InputFinding]:
+def judged(done: Sequence[Stage], seen: Sequence[Readings], names: Sequence[str]) -> list[MachineFault]:
     """Return the findings of inputs `names` that read `seen` in the stages `done`."""
     wanted = {name: tuple(INPUTS[name].rest != (name in stage.changed) for stage in done) for name in names}
     read = {name: tuple(INPUTS[name].level(r) > 0.5 for r in seen) for name in names}
-    findings = list[InputFinding]()
+    findings = list[MachineFault]()
     _take_welded(done, wanted, read, findings)
     wrong = [name for name in names if read[name] != wanted[name]]
     for a, b in combinations(list(wrong), 2):
         if {a, b} <= set(wrong) and read[a] == wanted[b] and read[b] == wanted[a]:
             wrong = [name for name in wrong if name not in (a, b)]
             findings.append(
-                InputFinding(
+                MachineFault(
                     f"{a} and {b}",
                     "each shows the levels of the other: they are exchanged",
                     "each shows its own",
@@ -160,7 +146,7 @@ def judged(done: Sequence[Stage], seen: Sequence[Readings], names: Sequence[str]
 
 
 def _take_welded(
-    done: Sequence[Stage], wanted: dict[str, Column], read: dict[str, Column], findings: list[InputFinding]
+    done: Sequence[Stage], wanted: dict[str, Column], read: dict[str, Column], findings: list[MachineFault]
 ) -> None:
     """Find stages that all position switches sleep through, and count those as read in them."""
     shown = [name for name in FEEDBACKS if name in read]
@@ -170,7 +156,7 @@ def _take_welded(
             continue
         if all(read[name][at] == wanted[name][at - 1] for name in moved):
             findings.append(
-                InputFinding(
+                MachineFault(
                     "stop contacts",
                     f"{' and '.join(moved)} unchanged with {stage.name}: a contact is welded or bridged",
                     "outputs without energy, whatever the bench commands",
@@ -181,7 +167,7 @@ def _take_welded(
                 read[name] = (*read[name][:at], wanted[name][at], *read[name][at + 1 :])
 
 
-def _wrong(name: str, done: Sequence[Stage], wanted: Column, read: Column) -> InputFinding:
+def _wrong(name: str, done: Sequence[Stage], wanted: Column, read: Column) -> MachineFault:
     """Return the finding of input `name`, which is not exchanged with another one."""
     one = INPUTS[name]
     word = {False: one.off, True: one.on}
@@ -190,12 +176,12 @@ def _wrong(name: str, done: Sequence[Stage], wanted: Column, read: Column) -> In
         action = (
             one.action if read[0] else f"Look for a cut cable, a loose plug or a lost supply. {one.action}"
         )
-        return InputFinding(name, found, "a change when it is acted on", action)
+        return MachineFault(name, found, "a change when it is acted on", action)
     if all(a != b for a, b in zip(wanted, read, strict=True)):
         action = "Wire the contact that opens when acted on, or the other one of a position switch."
-        return InputFinding(name, "reads the opposite at all times", "the right way round", action)
+        return MachineFault(name, "reads the opposite at all times", "the right way round", action)
     at = next(k for k in range(len(done)) if wanted[k] != read[k])
-    return InputFinding(
+    return MachineFault(
         name, f"reads {word[read[at]]!r} with {done[at].name}", f"{word[wanted[at]]!r}", one.action
     )
 

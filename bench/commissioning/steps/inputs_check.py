@@ -14,7 +14,7 @@ from bench.base.errors import Refused
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.commissioning_step import MachineFault, NamedStep
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.inputs import ACTS, InputFinding, OperatorIO, Stage, fitted, judged, stages
+from bench.commissioning.machine.inputs import ACTS, OperatorIO, Stage, fitted, judged, stages
 from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.config import Configuration
@@ -52,7 +52,7 @@ def check_inputs(
     hands: OperatorIO,
     configuration: Configuration,
     progress: Callable[[str], None] = lambda what: None,
-) -> tuple[SeenInputs, list[InputFinding]]:
+) -> tuple[SeenInputs, list[MachineFault]]:
     """Return the inputs seen, and findings; the machine is passive afterwards.
 
     Raises:
@@ -78,7 +78,7 @@ def check_inputs(
     finally:
         machine.make_passive()
     hands.regulator(inf)
-    found = tuple(finding.text for finding in findings)
+    found = tuple(f"{one.location}: {one.found}; expected {one.expected}. {one.action}" for one in findings)
     return SeenInputs(names, wiring_digest(c), found, deviation), findings
 
 
@@ -86,11 +86,11 @@ def _refused(found: str, expected: str, action: str) -> Refused:
     return Refused("check of the inputs", found, expected, action)
 
 
-def raise_findings(findings: list[InputFinding]) -> None:
+def raise_findings(findings: list[MachineFault]) -> None:
     """Raise MachineFault with all `findings`, if there are any."""
     if findings:
         location, found, expected, action = (
-            "; ".join(dict.fromkeys(part)) for part in zip(*findings, strict=True)
+            "; ".join(dict.fromkeys(part)) for part in zip(*(one.args for one in findings), strict=True)
         )
         raise MachineFault(location, found, expected, action)
 
@@ -119,13 +119,13 @@ def _watched(
     return seen
 
 
-def off_at_rest(readings: Readings, plant: PlantParameters) -> list[InputFinding]:
+def off_at_rest(readings: Readings, plant: PlantParameters) -> list[MachineFault]:
     """Return the fitted pressure sensors that do not show the atmosphere, vented, as access requires it."""
     atmosphere, tolerance = plant.supply.atmosphere, zero_tolerance(plant)
     sensors = ("supply", *CHAMBERS)
     shown = (readings.supply_pressure, *readings.chamber_pressure)
     return [
-        InputFinding(
+        MachineFault(
             f"{name} sensor",
             f"{1e-5 * pressure:.3f} bar absolute, vented" if isfinite(pressure) else "no believable reading",
             f"{1e-5 * atmosphere:.3f} bar within {1e-5 * tolerance:.3f}: above, access is refused; below, "
@@ -143,12 +143,12 @@ def _allowed(pressure: float) -> float:
 
 def _beside_the_gauge(
     machine: SimulatedMachine | LiveRobot, hands: OperatorIO, gauge: Callable[[], float], c: Configuration
-) -> tuple[float, list[InputFinding]]:
+) -> tuple[float, list[MachineFault]]:
     """Return the largest deviation of the supply's sensor from the gauge (Pa), and findings."""
     a, b, d = (actuator.valve.centre for actuator in c.plant.actuators)
     on = Command(valve=(a, b, d), supply_enable=True, beacon=True)
     atmosphere, worst = c.plant.supply.atmosphere, 0.0
-    findings = list[InputFinding]()
+    findings = list[MachineFault]()
     for pressure in PRESSURES:
         hands.regulator(pressure)
         machine.watch(_WARNING, None, inf, c.lifecycle.warning_time, c.lifecycle.warning_time)
@@ -165,7 +165,7 @@ def _beside_the_gauge(
         off = readings.supply_pressure - shown
         if not abs(off) <= _allowed(shown):
             findings.append(
-                InputFinding(
+                MachineFault(
                     "supply sensor",
                     f"{1e-5 * readings.supply_pressure:.2f} bar absolute, {1e-5 * shown:.2f} by the gauge",
                     f"the same within {1e-5 * _allowed(shown):.2f} bar",

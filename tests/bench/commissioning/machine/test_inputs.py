@@ -21,7 +21,7 @@ from bench.commands.cli import main
 from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.machine.commissioning_step import MachineFault
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.inputs import INPUTS, InputFinding, fitted, judged, stages
+from bench.commissioning.machine.inputs import INPUTS, fitted, judged, stages
 from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs, off_at_rest
 from bench.config import Configuration
 from bench.control.settings import holding_pressure
@@ -43,7 +43,7 @@ def wired(configuration: Configuration) -> Configuration:
     return replace(configuration, lifecycle=replace(configuration.lifecycle, local_reset=True))
 
 
-def checked(c: Configuration, *faults: Fault) -> list[InputFinding]:
+def checked(c: Configuration, *faults: Fault) -> list[MachineFault]:
     with SimulatedMachine(c.plant, c.plant, faults, inputs_only=True) as machine:
         hands = machine.hands._replace(timeout=0.5)
         findings = check_inputs(machine, hands, c)[1]
@@ -336,10 +336,10 @@ def test_see_inputs_runs_first_and_repeats_when_due(
     tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state, kept = begin(tmp_path, configuration, simulated=True), list[SeenInputs]()
-    found = [InputFinding("guard closed", "bridged", "a change", "Look.")]
+    found = [MachineFault("guard closed", "bridged", "a change", "Look.")]
     monkeypatch.setattr(
         "bench.commissioning.commissioning.check_inputs",
-        lambda *_: (SeenInputs(ALL, "0" * 16, tuple(f.text for f in found)), found),
+        lambda *_: (SeenInputs(ALL, "0" * 16, tuple(map(str, found))), found),
     )
 
     def step_0(in_force: str | None) -> int:
