@@ -22,7 +22,6 @@ from bench.calibration.ball_aerodynamics import (
     aerodynamics_from_record,
     fit_aerodynamics,
 )
-from bench.calibration.flight_table import read_flights
 from bench.config import database_url
 from bench.store.database import open_database
 from drivers.base import Launch
@@ -185,37 +184,3 @@ def test_newest_aerodynamics_returns_latest_version(database: Engine) -> None:
     assert aerodynamics_from_record(json.loads(json.dumps(newest["x"].record())), "plan") == newest["x"]
     with pytest.raises(BenchError, match="--source"):
         add_aerodynamics(database, "b", values, date=NOW, source=" ", by="Ann")
-
-
-def test_read_flights_converts_units_and_reads_points(tmp_path: Path) -> None:
-    table, points = tmp_path / "flights.csv", tmp_path / "points.csv"
-    table.write_text(
-        "flight,ball_speed_mph,launch_angle_deg,spin_rpm,carry_yd,apex_m,time_s,air_temperature_k,note\n"
-        "1,150,12,2600,240,30,,293.15,first\n2,60,11,3000,,,6.1,,\n"
-    )
-    points.write_text("flight,time_s,distance_m,height_m\n2,0.1,5.9,1.1\n2,0.2,11.7,2.2\n")
-    (one, two), notes = read_flights(table, points)
-    assert notes == ("columns note",)
-    assert one.launch.speed == pytest.approx(150 * 0.44704)
-    assert one.launch.spin == pytest.approx(2600 * pi / 30)
-    assert one.carry == pytest.approx(240 * 0.9144)
-    assert (one.apex, one.time) == (30.0, None)
-    assert (one.air.temperature, two.air) == (293.15, Air())
-    assert two.points is not None
-    assert two.observed.tolist() == [6.1, 5.9, 11.7, 1.1, 2.2]
-
-
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("ball_speed_mps,launch_angle_deg,spin_rpm,carry_m\n60,11,many,190\n", "line 2, spin_rpm"),
-        ("ball_speed_mps,launch_angle_deg,carry_m\n60,11,190\n", "no spin"),
-        ("ball_speed_mps,launch_angle_deg,spin_rpm,carry_m,carry_source\n60,11,2500,190,x\n", "shot table"),
-        ("ball_speed_mps,launch_angle_deg,spin_rpm,relative_humidity\n60,11,2500,55\n", "relative_humidity"),
-    ],
-)
-def test_read_flights_mistake_is_refused_with_place(tmp_path: Path, text: str, found: str) -> None:
-    table = tmp_path / "flights.csv"
-    table.write_text(text)
-    with pytest.raises(BenchError, match=found):
-        read_flights(table)

@@ -9,6 +9,7 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.calibration.flight_table import FlightTable, read_flights
+from sim.ball import Air
 
 ROOT = Path(__file__).parents[3]
 HEADER = "ball_speed_mph,launch_angle_deg,spin_rpm,carry_yd"
@@ -222,6 +223,10 @@ def test_read_flights_unknown_speed_column_names_all_units(tmp_path: Path) -> No
         (f"{HEADER}\n171,110.4,2545,282\n", "line 2", "launch_angle 110.4 deg, outside -85 to 85 deg"),
         (f"{HEADER}\n171,10.4,-2545,282\n", "line 2", "spin -2545 rpm, outside 48 to 19003 rpm"),
         (f"{HEADER}\n171,10.4,2545,-282\n", "line 2", "carry -257.8608 m, outside 0 to 500 m"),
+        (f"{HEADER}\n171,10.4,many,282\n", "line 2, spin_rpm (column 3)", "'many'"),
+        ("ball_speed_mps,launch_angle_deg,carry_m\n60,11,190\n", "line 1", "no spin"),
+        (f"{HEADER},carry_source\n{FLIGHT},x\n", "flights.csv", "shot table"),
+        (f"{HEADER},relative_humidity\n{FLIGHT},55\n", "line 2", "relative_humidity"),
         (b"PK\x03\x04", "flights.csv", "a workbook (xlsx)"),
         (f"{HEADER}\n171,10.4\xb0,2545,282\n".encode("latin-1"), "flights.csv", "not utf-8"),
         (HEADER, "flights.csv", "no rows"),
@@ -236,3 +241,21 @@ def test_read_flights_invalid_table_is_refused_with_place(
         read(tmp_path, text)
     assert location in raised.value.location
     assert found in raised.value.found
+
+
+def test_read_flights_converts_units_and_reads_points(tmp_path: Path) -> None:
+    table, points = tmp_path / "flights.csv", tmp_path / "points.csv"
+    table.write_text(
+        "flight,ball_speed_mph,launch_angle_deg,spin_rpm,carry_yd,apex_m,time_s,air_temperature_k,note\n"
+        "1,150,12,2600,240,30,,293.15,first\n2,60,11,3000,,,6.1,,\n"
+    )
+    points.write_text("flight,time_s,distance_m,height_m\n2,0.1,5.9,1.1\n2,0.2,11.7,2.2\n")
+    (one, two), notes = read_flights(table, points)
+    assert notes == ("columns note",)
+    assert one.launch.speed == pytest.approx(150 * 0.44704)
+    assert one.launch.spin == pytest.approx(2600 * pi / 30)
+    assert one.carry == pytest.approx(240 * 0.9144)
+    assert (one.apex, one.time) == (30.0, None)
+    assert (one.air.temperature, two.air) == (293.15, Air())
+    assert two.points is not None
+    assert two.observed.tolist() == [6.1, 5.9, 11.7, 1.1, 2.2]

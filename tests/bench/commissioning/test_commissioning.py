@@ -89,6 +89,12 @@ class _Found:
         )
 
 
+def exit_code(arguments: list[str]) -> object:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    return ended.value.code
+
+
 def _run(state: Commissioning, configuration: Configuration) -> RobotEstimate:
     with SimulatedMachine(configuration.plant, configuration.plant) as machine:
         return commission(state, configuration.plant, machine)
@@ -195,9 +201,7 @@ def test_commission_resume_at_terminal_prompts_for_repairs(
     answers = ["", "Nothing"]
     monkeypatch.setattr("bench.commands.machine.commission.at_terminal", lambda: True)
     monkeypatch.setattr("typer.prompt", lambda text, **_: answers.pop(0))
-    with pytest.raises(SystemExit) as ended:
-        main(given)
-    assert ended.value.code == 0
+    assert exit_code(given) == 0
     assert not answers
 
 
@@ -252,16 +256,13 @@ def test_commission_check_lists_steps_and_writes_nothing(
 ) -> None:
     folder = tmp_path / "day"
     given = ["commission", "--sim", "--check", "--output", str(folder)]
-    with pytest.raises(SystemExit) as ended:
-        main([*given, "--json"])
-    assert ended.value.code == 0
+    assert exit_code([*given, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert [(step["name"], step["done"]) for step in said["steps"]] == [
         (step.name, False) for step in ALL_STEPS
     ]
     assert (said["robot"], said["simulated"]) == ("", True)
-    with pytest.raises(SystemExit):
-        main(given)
+    exit_code(given)
     assert f"1. {STEPS[0].title} (left)" in capsys.readouterr().out
     assert not folder.exists()
 
@@ -356,9 +357,7 @@ def test_robot_file_commands_calibrate_encoders_and_valves(
     commands = re.findall(r"^# golfbench (.*)$", path.read_text(), re.MULTILINE)
     for command in commands:
         assert f"--config '{path}'" in command
-        with pytest.raises(SystemExit) as ended:
-            main(shlex.split(command))
-        assert ended.value.code == 0
+        assert exit_code(shlex.split(command)) == 0
     found = calibration_of(load_configuration(path), datetime.now(UTC))
     encoders, valves = (found.of(kind) for kind in (CalibrationKind.ENCODERS, CalibrationKind.VALVES))
     assert encoders is not None
@@ -471,9 +470,7 @@ def test_commission_swings_use_measured_values(
 ) -> None:
     first, last = _Swinging("swings"), _Swinging("learning")
     _measured(monkeypatch, first, last)
-    with pytest.raises(SystemExit) as ended:
-        main(["commission", "--sim", "--output", str(tmp_path / "day")])
-    assert ended.value.code == 0
+    assert exit_code(["commission", "--sim", "--output", str(tmp_path / "day")]) == 0
     known = last.knew[0]
     assert known.plant.supply.pressure == 7e5
     assert known.envelope.min_supply_pressure < 7e5 < known.envelope.max_supply_pressure < 8e5
@@ -490,18 +487,14 @@ def test_commission_failed_learning_exits_with_1_and_resumes(
     first, last = _Swinging("swings"), _Swinging("learning", failing=True)
     _measured(monkeypatch, first, last)
     given = ["commission", "--sim", "--output", str(tmp_path / "day")]
-    with pytest.raises(SystemExit) as ended:
-        main(given)
-    assert ended.value.code == 1
+    assert exit_code(given) == 1
     assert (tmp_path / "day" / "robot.toml").is_file()
     wrong = read_state(tmp_path / "day").wrong
     assert wrong is not None
     assert wrong.action == "Look at the club."
     assert "Look at the club." in (tmp_path / "day" / "report.html").read_text()
     last.failing = False
-    with pytest.raises(SystemExit) as ended:
-        main([*given, "--resume", "--repaired", "nothing"])
-    assert ended.value.code == 0
+    assert exit_code([*given, "--resume", "--repaired", "nothing"]) == 0
     assert (len(first.knew), len(last.knew)) == (2, 2)
 
 
@@ -512,21 +505,15 @@ def test_commission_resume_edited_robot_file_is_refused(
     _measured(monkeypatch, _Swinging("limits"))
     given = ["commission", "--sim", "--output", str(tmp_path / "day")]
     robot = tmp_path / "day" / "robot.toml"
-    with pytest.raises(SystemExit) as ended:
-        main(given)
-    assert ended.value.code == 0
+    assert exit_code(given) == 0
     written = robot.read_text()
     robot.write_text(written.replace('check = "always"', 'check = "off"'))
     for more in ([], ["--check"]):
-        with pytest.raises(SystemExit) as ended:
-            main([*given, "--resume", "--repaired", "nothing", *more])
-        assert ended.value.code == 1
+        assert exit_code([*given, "--resume", "--repaired", "nothing", *more]) == 1
         assert "an edited file" in capsys.readouterr().err
     assert 'check = "off"' in robot.read_text()
     robot.unlink()
-    with pytest.raises(SystemExit) as ended:
-        main([*given, "--resume", "--repaired", "nothing"])
-    assert ended.value.code == 0
+    assert exit_code([*given, "--resume", "--repaired", "nothing"]) == 0
     again = robot.read_text().splitlines()
     changed = [line for line in again if line not in written.splitlines()]
     assert all(line.startswith(("commissioned = ", "# as written by")) for line in changed), changed
@@ -551,9 +538,9 @@ def test_commission_conflicting_options_are_refused(
 ) -> None:
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "shipped"\n{configured}')
-    with pytest.raises(SystemExit) as ended:
-        main(["--config", str(file), "commission", "--output", str(tmp_path / "day"), *options])
-    assert ended.value.code not in (0, None)
+    assert exit_code(
+        ["--config", str(file), "commission", "--output", str(tmp_path / "day"), *options]
+    ) not in (0, None)
     assert location in capsys.readouterr().err
     assert not (tmp_path / "day").exists()
 
@@ -582,9 +569,7 @@ def test_commission_without_sim_moves_robot_of_driver(
     monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", (swinging,))
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "shipped"\n[bench]\nid = "day-{os.getpid()}"\ndata_dir = "{tmp_path}"\n')
-    with pytest.raises(SystemExit) as ended:
-        main(["--config", str(file), "commission", "--output", str(tmp_path / "day")])
-    assert ended.value.code == 0
+    assert exit_code(["--config", str(file), "commission", "--output", str(tmp_path / "day")]) == 0
     state = read_state(tmp_path / "day")
     assert state.simulated
     assert state.values[0].value == pytest.approx(3.0e5, rel=0.02), "the regulator was turned"
@@ -598,9 +583,9 @@ def test_commission_drawn_robot_learns_planned_delivery(tmp_path: Path, configur
     file = tmp_path / "truth.toml"
     file.write_text(drawn_robot_file(truth, configuration))
     day = tmp_path / "day"
-    with pytest.raises(SystemExit) as ended:
-        main(["commission", "--sim", "--robot", str(file), "--output", str(day)])
-    assert ended.value.code == 0, (day / "report.html").read_text()
+    assert exit_code(["commission", "--sim", "--robot", str(file), "--output", str(day)]) == 0, (
+        day / "report.html"
+    ).read_text()
     state, learned = read_state(day), load_profile(day / "learned.toml")
     assert [step.name for step in state.done] == [step.name for step in ALL_STEPS]
     assert "All 9 steps done" in (day / "report.html").read_text()

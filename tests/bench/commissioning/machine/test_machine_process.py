@@ -50,6 +50,8 @@ from sim.driver import PacedPlantDriver
 from sim.exchange import SurroundingsWriter
 from tests.compiled_only import needs_speed
 
+pytestmark = pytest.mark.timeout(600)
+
 BOUNDS = MotionBounds((10.0, 10.0, 20.0), (3.0, 3.0, 5.0), 9e5)
 OPENING = (0.1, 0.0, 0.0)
 
@@ -112,6 +114,12 @@ def server(
     yield made
     made.close()
     assert driver.commands[-1] == PASSIVE
+
+
+@pytest.fixture
+def armed(server: MachineServer, configuration: Configuration, slow: Profile) -> MachineServer:
+    server.obey("arm", bench_of(configuration, slow))
+    return server
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +217,6 @@ def test_machine_server_swing_not_armed_raises(server: MachineServer, slow: Prof
 
 
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_arms_and_swings_with_and_without_ball(
     server: MachineServer, driver: WatchedDriver, configuration: Configuration, slow: Profile
 ) -> None:
@@ -230,7 +237,6 @@ def test_machine_server_arms_and_swings_with_and_without_ball(
 
 @pytest.mark.slow
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_arm_refused_briefly_is_repeated(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -250,7 +256,6 @@ def test_machine_server_arm_refused_briefly_is_repeated(
 
 
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_arm_refused_reports_state_and_reason(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,41 +277,33 @@ def test_machine_server_arm_refused_reports_state_and_reason(
 
 
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_release_guard_shuts_supply_until_lock_guard(
-    server: MachineServer,
+    armed: MachineServer,
     driver: WatchedDriver,
-    configuration: Configuration,
     slow: Profile,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("bench.commissioning.machine.machine_server._PERSON", 2.0)
-    server.obey("arm", bench_of(configuration, slow))
-    server.obey("swing", slow, True)
-    assert server.obey("release_guard") is False, "no gauge was read: the supply stays open"
+    armed.obey("swing", slow, True)
+    assert armed.obey("release_guard") is False, "no gauge was read: the supply stays open"
     inside = driver.commands[-1]
     assert (inside.guard_lock, inside.supply_enable, inside.valve) == (False, False, (0.0, 0.0, 0.0))
     with SurroundingsWriter(tmp_path) as surroundings:
         surroundings.change(guard_closed=False)
         for _ in range(100):
-            server.hold()
+            armed.hold()
         with pytest.raises(Refused, match="guard"):
-            server.obey("lock_guard")
+            armed.obey("lock_guard")
         assert not driver.commands[-1].supply_enable
         surroundings.change(guard_closed=True)
-        server.obey("lock_guard")
-    assert server.obey("swing", slow, True).cause is Cause.NONE
+        armed.obey("lock_guard")
+    assert armed.obey("swing", slow, True).cause is Cause.NONE
 
 
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_release_guard_reports_supply_locked_for_gauges(
-    server: MachineServer,
-    said: list[str],
-    configuration: Configuration,
-    slow: Profile,
-    monkeypatch: pytest.MonkeyPatch,
+    armed: MachineServer, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request, read = SwingOperator.request, list[int]()
 
@@ -317,9 +314,8 @@ def test_machine_server_release_guard_reports_supply_locked_for_gauges(
             return False
         return request(operator, which)
 
-    server.obey("arm", bench_of(configuration, slow))
     monkeypatch.setattr(SwingOperator, "request", refuse_until_read)
-    assert server.obey("release_guard") is True
+    assert armed.obey("release_guard") is True
     assert said == ["access: " + REFUSAL_TEXT[Refusal.GAUGE]]
 
 
@@ -346,20 +342,16 @@ def test_live_robot_face_mark_waits_until_locked_supply_is_open(
 
 
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_stop_in_swing_is_refused(
-    server: MachineServer, configuration: Configuration, slow: Profile, asked: list[bool]
+    armed: MachineServer, slow: Profile, asked: list[bool]
 ) -> None:
-    server.obey("arm", bench_of(configuration, slow))
     asked.append(True)
     with pytest.raises(Refused, match="stopped by the operator"):
-        server.obey("swing", slow, False)
-    server.close()
+        armed.obey("swing", slow, False)
 
 
 @pytest.mark.slow
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
     server: MachineServer,
     driver: WatchedDriver,
@@ -388,7 +380,6 @@ def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
 
 @pytest.mark.slow
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_arm_stopped_by_stall_is_repeated_and_reported(
     server: MachineServer,
     driver: WatchedDriver,
@@ -455,7 +446,6 @@ def test_machine_server_stalls_at_address_repeat_up_to_limit(
 
 
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_stall_in_each_arming_ends_named_as_stall(
     server: MachineServer,
     driver: WatchedDriver,
@@ -473,16 +463,12 @@ def test_machine_server_stall_in_each_arming_ends_named_as_stall(
 
 @pytest.mark.slow
 @needs_speed
-@pytest.mark.timeout(600)
 def test_machine_server_swing_without_ball_is_refused(
-    server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
+    armed: MachineServer, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    server.obey("arm", bench_of(configuration, slow))
-    monkeypatch.setattr(
-        "bench.commissioning.machine.machine_server.LiveSeries._sees_ball", lambda self: False
-    )
+    monkeypatch.setattr(LiveSeries, "_sees_ball", lambda self: False)
     with pytest.raises(Refused, match="Fill the feeder"):
-        server.obey("swing", slow, True)
+        armed.obey("swing", slow, True)
 
 
 # The process -----------------------------------------------------------------------------------------
