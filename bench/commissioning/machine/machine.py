@@ -109,35 +109,38 @@ _REST = 5e-4
 """Max movement of a joint at rest (rad)."""
 
 
+_ROW = np.dtype(
+    [
+        *(("time", "f8"), ("count", "i8", 3), ("pressure", "f8", 6), ("supply", "f8")),
+        *(("valve", "f8", 3), ("vents_shut", "?"), ("segment", "i8")),
+    ]
+)
+"""Row of a log; its columns are those of `MotionTrace`."""
+
+
 class MotionLog:
     """Rows of a sequence as they come."""
 
     def __init__(self, rows: int, counts: int) -> None:
-        self._rows, self._counts, self._n = rows, counts, 0
-        self._count = np.zeros((rows, 3), np.int64)
-        self._first = np.zeros(3, np.int64)
-        self._time, self._supply = np.zeros(rows), np.zeros(rows)
-        self._pressure, self._valve = np.zeros((rows, 6)), np.zeros((rows, 3))
-        self._shut, self._segment = np.zeros(rows, bool), np.zeros(rows, np.int64)
+        self._rows, self._counts, self._n = np.zeros(rows, _ROW), counts, 0
+        self._count, self._first = self._rows["count"], np.zeros(3, np.int64)
 
     @property
     def full(self) -> bool:
         """Whether no row is left."""
-        return self._n >= self._rows
+        return self._n >= len(self._rows)
 
     def note(self, readings: np.ndarray[Any, Any], command: Command, segment: int) -> None:
         """Add a row."""
-        r, n = readings[0], self._n
+        r, n, turned = readings[0], self._n, np.zeros(3, np.int64)
         count = np.asarray(r["encoder_count"], np.int64)
         if n == 0:
             self._first = count.copy()
         else:
-            before = self._count[n - 1] + self._first
-            half = self._counts // 2
-            self._count[n] = self._count[n - 1] + (count - before + half) % self._counts - half
-        self._time[n], self._supply[n] = r["time"], r["supply_pressure"]
-        self._pressure[n], self._valve[n] = r["chamber_pressure"], command.valve
-        self._shut[n], self._segment[n] = command.exhaust_closed, segment
+            before, half = self._count[n - 1], self._counts // 2
+            turned = before + (count - before - self._first + half) % self._counts - half
+        air = r["chamber_pressure"], r["supply_pressure"]
+        self._rows[n] = (r["time"], turned, *air, command.valve, command.exhaust_closed, segment)
         self._n = n + 1
 
     def way(self) -> Array:
@@ -154,32 +157,26 @@ class MotionLog:
 
     def trace(self, tripped: PassedBound | None, ended: tuple[bool, ...], tick: float) -> MotionTrace:
         """Return the rows, one a `tick` (s): rows that a busy machine missed lie between their neighbours."""
-        n = self._n
+        rows, n = self._rows[: self._n], self._n
         at = np.arange(n, dtype=float)
         if n > 1:
-            number = np.round((self._time[:n] - self._time[0]) / tick)
+            number = np.round((rows["time"] - rows["time"][0]) / tick)
             wanted = np.arange(number[-1] + 1.0)
             if len(wanted) != n:
                 at = np.interp(wanted, number, at)
-        before = at.astype(np.int64)
-
-        return MotionTrace(
-            at_rows(self._time[:n, None], at)[:, 0],
-            self._first,
-            np.round(at_rows(self._count[:n], at)).astype(np.int64),
-            at_rows(self._pressure[:n], at),
-            at_rows(self._supply[:n, None], at)[:, 0],
-            self._valve[before],
-            self._shut[before],
-            self._segment[before],
-            tripped,
-            ended,
+        time, pressure, supply = (at_rows(rows[name], at) for name in ("time", "pressure", "supply"))
+        count = np.round(at_rows(rows["count"], at)).astype(np.int64)
+        valve, shut, segment = (
+            rows[name][at.astype(np.int64)] for name in ("valve", "vents_shut", "segment")
         )
+        return MotionTrace(time, self._first, count, pressure, supply, valve, shut, segment, tripped, ended)
 
 
 def at_rows(table: NDArray[Any], rows: NDArray[Any]) -> Array:
-    """Return the values of `table` (n, c) at fractional `rows` (k,), (k, c)."""
-    return np.column_stack([np.interp(rows, np.arange(len(table)), column) for column in table.T])
+    """Return the values of `table` (n,) or (n, c) at fractional `rows` (k,)."""
+    if table.ndim == 1:
+        return np.asarray(np.interp(rows, np.arange(len(table)), table))
+    return np.column_stack([at_rows(column, rows) for column in table.T])
 
 
 class CommissionedMachine(Protocol):
