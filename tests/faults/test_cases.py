@@ -37,7 +37,7 @@ def test_pressure_sensor_off_at_address_reports_cause(run: Run, signal: str) -> 
 
 @pytest.mark.parametrize("signal", ["vent 1", "vent 2", "vent 1 feedback", "vent 2 feedback"])
 def test_vent_stuck_shut_or_open_reports_cause(run: Run, signal: str) -> None:
-    """Stuck shut at a stop, and stuck open: of the vent its command, of its switch the position."""
+    """Stuck shut at a stop, and stuck open: the command of a vent, the position of a switch."""
     valve, expected = "feedback" not in signal, ("safe", "VENT_1" if "1" in signal else "VENT_2")
     shut = run(fault(signal, "stuck", 1.0 if valve else nan), "hold", "stop")
     assert (shut.verdict, shut.detected_by) == expected, shut.reasons
