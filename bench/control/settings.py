@@ -28,8 +28,7 @@ from bench.control.estimate.residual_monitor import ARMING, BRAKING, KINDS, LEAR
 from bench.control.law.feed_forward import CODES, FeedForward, kane_gains
 from bench.control.law.force_reference import demand_for
 from bench.control.law.gain_scheduling import machine_gains
-from bench.control.law.gain_table import Gains, GainTable, constant_gains
-from bench.control.law.pid import design_pid
+from bench.control.law.gain_table import Gains, constant_gains
 from bench.control.moves import ground_clearance
 from bench.control.moves.braking import lifted_angle
 from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
@@ -374,11 +373,10 @@ def build_controller(
     With `read_only` nothing but the passive command is ever given.
 
     Raises:
-        ValueError: an estimator, encoder or PID value is outside its meaning.
+        ValueError: a gain, an estimator's value or a joint's travel is outside its meaning.
     """
     control, envelope = control or ControlSettings(), envelope or EnvelopeSettings()
     estimator = estimator or EstimatorSettings()
-    robot, counts = plant.robot, plant.encoders.counts_per_revolution
     machine = build_plant(plant).plant
     demand = demand_for(control.feed_forward, plant, profile)
     return ControlParameters(
@@ -386,17 +384,16 @@ def build_controller(
             control, lifecycle, homing or HomingSettings(), plant, profile, machine, read_only
         ),
         encoder=design_encoders(
-            counts_per_revolution=(counts,) * 3,
+            counts_per_revolution=plant.encoders.counts_per_revolution,
             zero_count=plant.encoders.zero_count,
             sign=plant.encoders.sign,
             travel=angle_travel(plant),
-            max_speed=(60.0, 60.0, 120.0),
         ),
         estimator=estimator_record(estimator, plant),
         pid=pid_record(control, estimator, plant),
         envelope=_envelope_record(envelope, plant, profile),
         model=_model_record(envelope.model, learning=profile.corrected),
-        robot=robot.record,
+        robot=plant.robot.record,
         plant=machine,
         profile=_profile_record(profile, plant, machine),
         angle=profile.angle,
@@ -411,25 +408,21 @@ def build_controller(
 
 def pid_record(control: ControlSettings, estimator: EstimatorSettings, plant: PlantParameters) -> np.ndarray:
     """Return the PIDs' PID_PARAMETERS record."""
-    return design_pid(_gain_table(control, estimator, plant), lowest=(-1.0,) * 3, highest=(1.0,) * 3)
-
-
-def _gain_table(control: ControlSettings, estimator: EstimatorSettings, plant: PlantParameters) -> GainTable:
-    """Return the gains of the PIDs over the pose."""
     if control.gains == "machine":
-        return machine_gains(
-            plant, estimator_record(estimator, plant), control.address_tolerance, control.move_timeout
-        ).table
+        filters = estimator_record(estimator, plant)
+        found = machine_gains(plant, filters, control.address_tolerance, control.move_timeout)
+        return found.table.copy()
     pid = control.pid
-    own = Gains(pid.proportional, pid.integral, pid.derivative, control.damping, control.move_gain)
-    return constant_gains(own)
+    return constant_gains(
+        Gains(pid.proportional, pid.integral, pid.derivative, control.damping, control.move_gain)
+    )
 
 
 def estimator_record(estimator: EstimatorSettings, plant: PlantParameters) -> np.ndarray:
     """Return the Kalman filters' record."""
     return design_estimator(
         period=plant.tick,
-        counts_per_revolution=(plant.encoders.counts_per_revolution,) * 3,
+        counts_per_revolution=plant.encoders.counts_per_revolution,
         noise=estimator.noise,
         jitter=estimator.jitter,
         acceleration_change=estimator.acceleration_change,

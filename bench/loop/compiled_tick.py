@@ -20,7 +20,8 @@ from bench.control.estimate.air import AIR_STATE
 from bench.control.estimate.encoder import ENCODER_PARAMETERS, ENCODER_STATE
 from bench.control.estimate.estimator import ESTIMATOR_PARAMETERS, ESTIMATOR_STATE
 from bench.control.estimate.residual_monitor import MODEL_LIMITS, MODEL_STATE
-from bench.control.law.pid import PID_PARAMETERS, PID_STATE
+from bench.control.law.gain_table import PID_PARAMETERS
+from bench.control.law.pid import PID_STATE
 from bench.control.step import decide_tick, estimate_tick, limit_tick
 from bench.control.step_records import (
     CONTROL_PARAMETERS,

@@ -28,11 +28,7 @@ def angles(driver: MockDriver, time: float) -> Any:
     """The joint angles (rad) the bench sees at `time`."""
     readings, state = new_record(READINGS), new_record(ENCODER_STATE)
     parameters = design_encoders(
-        counts_per_revolution=(2**17,) * 3,
-        zero_count=(0.0,) * 3,
-        sign=(1, 1, 1),
-        travel=TRAVEL,
-        max_speed=(100.0,) * 3,
+        counts_per_revolution=2**17, zero_count=(0.0,) * 3, sign=(1, 1, 1), travel=TRAVEL
     )
     pack_readings(driver.read(time), readings)
     decode_encoders(state, parameters, readings, time)

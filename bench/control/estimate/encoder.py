@@ -55,55 +55,36 @@ sample was accepted; whether the count is absolute; 1 in the tick in which that 
 zero: the sample is then not compared with those before."""
 
 _TURN = 2.0 * np.pi
+_MAX_SPEED = (60.0, 60.0, 120.0)
+"""Max possible speed of the joints (rad/s)."""
+_TOLERANCE = 4.0
+"""Counts that a sample may be off by noise and jitter."""
+_MAX_AGE = 0.005
+"""Max age of a sample (s)."""
 
 
 def design_encoders(
     *,
-    counts_per_revolution: tuple[int, int, int],
+    counts_per_revolution: int,
     zero_count: tuple[float, float, float],
     sign: tuple[int, int, int],
     travel: tuple[tuple[float, float], tuple[float, float], tuple[float, float]],
-    max_speed: tuple[float, float, float],
-    count_range: tuple[int, int, int] | None = None,
-    tolerance: tuple[float, float, float] = (4.0, 4.0, 4.0),
-    max_age: tuple[float, float, float] = (0.005, 0.005, 0.005),
 ) -> np.ndarray[Any, Any]:
-    """Return an ENCODER_PARAMETERS record; tuples are in joint order.
+    """Return an ENCODER_PARAMETERS record of single-turn encoders; tuples are in joint order.
 
-    `travel` is each joint's (lowest, highest) angle (rad) that its stops allow, `max_speed` in rad/s,
-    `count_range` the number of different counts (default: one revolution), `tolerance` in counts.
+    `travel` is each joint's (lowest, highest) angle (rad) that its stops allow.
 
     Raises:
-        ValueError: a value is outside its meaning, or a joint's travel does not fit into the range, so
-            that a count could mean two angles.
+        ValueError: a joint's travel does not fit into a revolution, so that a count could mean two angles.
     """
-    ranges = count_range or counts_per_revolution
-    for joint in range(3):
-        low, high = travel[joint]
-        turns = ranges[joint] / counts_per_revolution[joint] if counts_per_revolution[joint] > 0 else 0.0
-        checks = (
-            (counts_per_revolution[joint] >= 2, "counts_per_revolution must be at least 2"),
-            (ranges[joint] >= 2, "count_range must be at least 2"),
-            (sign[joint] in {-1, 1}, f"sign must be 1 or -1, found {sign[joint]}"),
-            (np.isfinite(zero_count[joint]), "zero_count must be finite"),
-            (low < high, f"travel must rise, found {low} … {high} rad"),
-            (high - low < turns * _TURN, f"travel {low} … {high} rad is wider than the encoder's range"),
-            (0 < max_speed[joint] < np.inf, "max_speed must be above 0 and finite"),
-            (tolerance[joint] >= 0, "tolerance must not be negative"),
-            (max_age[joint] > 0, "max_age must be above 0"),
-        )
-        for holds, text in checks:
-            if not holds:
-                raise ValueError(f"encoder of joint {joint}: {text}")
+    for joint, (low, high) in enumerate(travel):
+        if not 0.0 < high - low < _TURN:
+            raise ValueError(f"encoder of joint {joint}: travel {low} … {high} rad does not fit into a turn")
     parameters = new_record(ENCODER_PARAMETERS)
-    parameters["counts_per_revolution"] = counts_per_revolution
-    parameters["count_range"] = ranges
-    parameters["zero_count"] = zero_count
-    parameters["sign"] = sign
-    parameters["middle"] = np.mean(travel, axis=1)
-    parameters["max_speed"] = max_speed
-    parameters["tolerance"] = tolerance
-    parameters["max_age"] = max_age
+    parameters["counts_per_revolution"] = parameters["count_range"] = counts_per_revolution
+    parameters["zero_count"], parameters["sign"] = zero_count, sign
+    parameters["middle"], parameters["max_speed"] = np.mean(travel, axis=1), _MAX_SPEED
+    parameters["tolerance"], parameters["max_age"] = _TOLERANCE, _MAX_AGE
     return parameters
 
 

@@ -55,51 +55,41 @@ sample; seconds since the last sample; 1 once there was one. A sample called val
 used and leaves NaN as its normalised innovation."""
 
 
+_INITIAL_VELOCITY, _INITIAL_ACCELERATION = 1.0, 10.0
+"""Standard deviations of velocity (rad/s) and acceleration (rad/s²) at the first sample."""
+
+
 def design_estimator(
     *,
     period: float,
-    counts_per_revolution: tuple[int, int, int],
+    counts_per_revolution: int,
     noise: tuple[float, float, float] = (0.0, 0.0, 0.0),
     jitter: tuple[float, float, float] = (0.0, 0.0, 0.0),
     acceleration_change: tuple[float, float, float] = (50.0, 50.0, 100.0),
     velocity_jump: tuple[float, float, float] = (0.3, 0.3, 1.0),
-    initial_velocity: float = 1.0,
-    initial_acceleration: float = 10.0,
 ) -> np.ndarray[Any, Any]:
     """Return an ESTIMATOR_PARAMETERS record for ticks of about `period` (s); tuples are in joint order.
 
     Standard deviations: `noise` of a sample without its rounding (rad), `jitter` of a sample's time (s),
-    `acceleration_change` in one period (rad/s²), `velocity_jump` in one period of the impact window (rad/s),
-    `initial_velocity` (rad/s) and `initial_acceleration` (rad/s²) at the first sample.
+    `acceleration_change` in one period (rad/s²), `velocity_jump` in one period of the impact window (rad/s).
 
     Raises:
-        ValueError: a value is not finite or outside its meaning.
+        ValueError: a standard deviation is not finite or outside its meaning.
     """
     values = np.array([jitter, acceleration_change, velocity_jump, noise], dtype=float)
-    initial = np.array([initial_velocity, initial_acceleration])
-    if not 0 < period < np.inf:
-        raise ValueError(f"estimator: period must be above 0 s and finite, found {period}")
-    if min(counts_per_revolution) < 2:
-        raise ValueError(f"estimator: need at least 2 counts per revolution, found {counts_per_revolution}")
     if not (np.all(np.isfinite(values)) and np.all(values >= 0) and np.all(values[1] > 0)):
         raise ValueError(
             "estimator: noise, jitter and velocity_jump must be at least 0, acceleration_change above 0, "
             f"all finite; found {noise}, {jitter}, {velocity_jump}, {acceleration_change}"
         )
-    if not (np.all(np.isfinite(initial)) and np.all(initial > 0)):
-        raise ValueError(f"estimator: initial deviations must be above 0 and finite, found {initial}")
     parameters = new_record(ESTIMATOR_PARAMETERS)
+    rounding = (2.0 * np.pi / counts_per_revolution) ** 2 / 12.0
     for joint in range(3):
-        resolution = 2.0 * np.pi / counts_per_revolution[joint]
-        parameters["quantisation"][0, joint] = resolution**2 / 12.0 + noise[joint] ** 2
+        parameters["quantisation"][0, joint] = rounding + noise[joint] ** 2
         parameters["jitter"][0, joint] = jitter[joint]
         parameters["density"][0, joint] = acceleration_change[joint] ** 2 / period
         parameters["jump_density"][0, joint] = velocity_jump[joint] ** 2 / period
-        parameters["initial_variance"][0, joint] = (
-            resolution**2 / 12.0,
-            initial_velocity**2,
-            initial_acceleration**2,
-        )
+    parameters["initial_variance"] = rounding, _INITIAL_VELOCITY**2, _INITIAL_ACCELERATION**2
     return parameters
 
 

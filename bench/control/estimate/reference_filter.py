@@ -80,10 +80,8 @@ def velocity_difference(ticks: int = 400) -> float:
     valid = np.tile((np.arange(ticks) % 9 != 5)[:, None], 3).astype(np.uint8)
     interval, window = np.full(ticks, period), np.abs(np.arange(ticks) - ticks // 2) < 6
     samples = Samples(angle, np.full((ticks, 3), 2e-4), valid, interval, window)
-    parameters, state = (
-        design_estimator(period=period, counts_per_revolution=(2**16,) * 3),
-        new_record(ESTIMATOR_STATE),
-    )
+    parameters = design_estimator(period=period, counts_per_revolution=2**16)
+    state = new_record(ESTIMATOR_STATE)
     velocity = np.empty(ticks)
     for k in range(ticks):
         estimate(state, parameters, angle[k], samples.age[k], valid[k], period, bool(window[k]))

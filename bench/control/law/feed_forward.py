@@ -94,15 +94,8 @@ def kane_gains(plant: Any) -> tuple[Array, Array]:
     by_rate, by_speed = np.zeros(3), np.zeros(3)
     for i in range(3):
         middle = 0.5 * (p["volume_lower"][i] + p["volume_upper"][i])
-        still, up, down = _nominal_rates(plant, i, air, middle, 0.0)
-        moving = _nominal_rates(plant, i, air, middle, 1.0)[0]
+        still, up, down = force_rates(p, i, air, middle, 0.0)
+        moving = force_rates(p, i, air, middle, 1.0)[0]
         by_rate[i] = 2.0 / (up - down)
         by_speed[i] = (still - moving) * by_rate[i]
     return by_rate, by_speed
-
-
-@compiled
-def _nominal_rates(
-    plant: Any, i: int, pressure: Any, position: float, speed: float
-) -> tuple[float, float, float]:
-    return force_rates(plant[0], i, pressure, position, speed)

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.estimate.estimator import ESTIMATOR_PARAMETERS
-from bench.control.law.gain_table import SHAPE, Gains, GainTable
+from bench.control.law.gain_table import SHAPE, Gains, gain_record
 from bench.control.law.linear_loop import (
     Complex,
     Estimator,
@@ -116,7 +116,8 @@ class WorstMargin(NamedTuple):
 class MachineGains(NamedTuple):
     """Gains over the pose, and how far they keep the required margins."""
 
-    table: GainTable
+    table: np.ndarray[Any, Any]
+    """PID_PARAMETERS, shared by all callers."""
     bandwidths: Bandwidths
     delay: Array
     """(3,) s, of spool, reading and tick."""
@@ -179,7 +180,8 @@ def _designed(plant: PlantParameters, filters: bytes, tolerance: Triple, timeout
     table = np.zeros((*SHAPE, len(Gains._fields), 3))
     for at in np.ndindex(SHAPE):
         table[at] = _placed(local[at], bandwidths, opened)
-    return MachineGains(GainTable(lower, spacing, plant.supply.pressure, table), bandwidths, delay, worst)
+    record = gain_record(lower, spacing, plant.supply.pressure, table)
+    return MachineGains(record, bandwidths, delay, worst)
 
 
 def _delay(plant: PlantParameters) -> Array:

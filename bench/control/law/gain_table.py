@@ -7,13 +7,13 @@ passes air in proportion to it.
 
 from __future__ import annotations
 
-from math import floor
+from math import floor, inf
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.base.compiled import compiled, fields
+from drivers.base.compiled import compiled, fields, new_record
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -36,32 +36,30 @@ _ROWS = len(Gains._fields)
 _SUPPLY = (0.7, 1.4)
 """Range of the factor on the gains by the supply's pressure."""
 
-GAIN_TABLE_FIELDS = [
-    *fields("f8", "lower spacing", (3,)),
-    ("supply", "f8"),
-    ("table", "f8", (*SHAPE, _ROWS, 3)),
-]
-"""Fields of PID_PARAMETERS: angles of the first pose (rad), distances of the poses (rad), the supply's
-pressure for which the gains hold (Pa; 0 where they do not follow it), gains in the order of `Gains`."""
+PID_PARAMETERS = np.dtype(
+    [*fields("f8", "lower spacing", (3,)), ("supply", "f8"), ("table", "f8", (*SHAPE, _ROWS, 3))], align=True
+)
+"""Angles of the first pose (rad), distances of the poses (rad), the supply's pressure for which the gains
+hold (Pa; 0 where they do not follow it), gains in the order of `Gains`, joints last."""
 
 
-class GainTable(NamedTuple):
-    """Gains on a grid of poses."""
-
-    lower: Array
-    """(3,) rad"""
-    spacing: Array
-    """(3,) rad"""
-    supply: float
-    """Supply pressure for which they hold, Pa; 0: at any."""
-    table: Array
-    """(*SHAPE, 5, 3) in the order of `Gains`, joints last."""
+def gain_record(lower: Array, spacing: Array, supply: float, table: Array) -> np.ndarray[Any, Any]:
+    """Return a PID_PARAMETERS record of its fields."""
+    record = new_record(PID_PARAMETERS)
+    record["lower"], record["spacing"], record["supply"], record["table"] = lower, spacing, supply, table
+    return record
 
 
-def constant_gains(gains: Gains) -> GainTable:
-    """Return a table with the same `gains` at every pose and supply pressure."""
-    table = np.broadcast_to(np.array(gains, dtype=float), (*SHAPE, _ROWS, 3)).copy()
-    return GainTable(np.zeros(3), np.ones(3), 0.0, table)
+def constant_gains(gains: Gains) -> np.ndarray[Any, Any]:
+    """Return a PID_PARAMETERS record with the same `gains` at every pose and supply pressure.
+
+    Raises:
+        ValueError: a gain is negative or not finite.
+    """
+    for name, values in gains._asdict().items():
+        if not all(0.0 <= value < inf for value in values):
+            raise ValueError(f"{name}: gains must be finite and not negative, found {values}")
+    return gain_record(np.zeros(3), np.ones(3), 0.0, np.array(gains))
 
 
 def gains_at(record: Any, pose: Array) -> Gains:
@@ -80,7 +78,7 @@ def gains_along(record: Any, poses: Array, factor: float = 1.0) -> Array:
 
 @compiled
 def interpolate_gains(gains: Any, p: Any, pose: Any, factor: float) -> None:
-    """Set `gains` (5, 3) at `pose` (3,) rad, times `factor`; `p` has GAIN_TABLE_FIELDS.
+    """Set `gains` (5, 3) at `pose` (3,) rad, times `factor`; `p` is PID_PARAMETERS.
 
     Outside the grid its border holds; an angle that is NaN is taken as the lowest.
     """

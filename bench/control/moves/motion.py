@@ -105,7 +105,7 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
             damping = share * state.pid[0].gains[DAMPING, i]
             s.feed_forward[i] += damping * (s.reference_acceleration[i] - e.acceleration[i])
     terms = (s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward)
-    control(state.pid, parameters.pid, *terms, measured_step)
+    control(state.pid, *terms, measured_step)
     note_answers(s, state.pid[0], e)
     push = side = 0.0
     planned = parameters.profile[0].air_planned and s.phase != Phase.HOMING

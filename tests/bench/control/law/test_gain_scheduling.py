@@ -11,7 +11,6 @@ import pytest
 from bench.control.law.gain_scheduling import MachineGains, machine_gains, pose_grid, worst_margin
 from bench.control.law.gain_table import SHAPE, gains_at
 from bench.control.law.linear_loop import at_rest, estimator_response, linearize, steady_estimator
-from bench.control.law.pid import design_pid
 from bench.control.settings import ControlSettings, EstimatorSettings, build_controller, estimator_record
 from bench.simulation.plant_variation import WORN
 from bench.swing.library import find_profile
@@ -62,14 +61,14 @@ def test_machine_gains_each_pose_keeps_margins(name: str) -> None:
     assert found.worst.share >= 1.0
     filters = estimator_record(EstimatorSettings(), plant)
     estimator = steady_estimator(filters, plant.tick, plant.encoders.latency)
-    record, built = design_pid(found.table, lowest=(-1.0,) * 3, highest=(1.0,) * 3), build_plant(plant)
+    built = build_plant(plant)
     lower, spacing = pose_grid(plant)
     shares = []
     for part in np.random.default_rng(1).uniform(0.0, 1.0, (40, 3)):
         pose = lower + spacing * part * (np.array(SHAPE) - 1)
         frozen = linearize(built, at_rest(built, pose))
         estimated = estimator_response(estimator, frozen.frequency, plant.tick)
-        gains = gains_at(record, pose)
+        gains = gains_at(found.table, pose)
         shares.append(worst_margin(frozen, estimator, estimated, gains, plant.tick).share)
     assert min(shares) >= 0.9
     assert np.quantile(shares, 0.1) >= 1.0
@@ -89,14 +88,14 @@ def test_machine_gains_unreachable_margins_report_worst_margin() -> None:
 def test_machine_gains_follow_lever_and_inertia() -> None:
     """A cocked wrist's cylinder has a third of its lever: the same opening turns it three times as fast."""
     found = found_for(SHIPPED)
-    straight, cocked = found.table.table[3, 2, -1], found.table.table[3, 2, 0]
+    straight, cocked = found.table["table"][0, 3, 2, -1], found.table["table"][0, 3, 2, 0]
     move, proportional = 4, 0
     assert cocked[move, 2] < 0.4 * straight[move, 2]
     assert cocked[proportional, 2] > 2.0 * straight[proportional, 2]
 
 
 def test_machine_gains_leave_dead_band_within_half_timeout() -> None:
-    gains = found_for(SHIPPED).table.table
+    gains = found_for(SHIPPED).table["table"][0]
     opened = (gains[..., 0, :] + gains[..., 1, :] * TIMEOUT / 2) * TOLERANCE
     assert np.all(opened >= 1.2 * SHIPPED.shoulder.valve.dead_band * (1 - 1e-9))
 

@@ -14,14 +14,13 @@ from bench.base.lifecycle import Phase
 from bench.control.law.gain_table import (
     SHAPE,
     Gains,
-    GainTable,
     constant_gains,
+    gain_record,
     gains_along,
     gains_at,
     interpolate_gains,
     supply_factor,
 )
-from bench.control.law.pid import design_pid
 from bench.control.settings import build_controller
 from bench.control.step import decide_tick, estimate_tick
 from bench.control.step_records import new_control_state
@@ -38,16 +37,12 @@ GIVEN = Gains(
 )
 
 
-def record(table: GainTable) -> Array:
-    return design_pid(table, lowest=(-1.0,) * 3, highest=(1.0,) * 3)
-
-
-def linear(supply: float = 0.0) -> GainTable:
+def linear() -> Array:
     """Return gains that are linear in each angle's place on the grid."""
     a, b, c = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
     table = np.ones((*SHAPE, 5, 3)) * (1 + a + 10 * b + 100 * c)[..., None, None]
     table *= np.arange(1, 16).reshape(5, 3)
-    return GainTable(LOWER, SPACING, supply, table)
+    return gain_record(LOWER, SPACING, 0.0, table)
 
 
 angle = st.floats(-50.0, 50.0)
@@ -55,7 +50,13 @@ angle = st.floats(-50.0, 50.0)
 
 @given(pose=st.tuples(angle, angle, angle))
 def test_constant_gains_are_exact_in_each_pose(pose: tuple[float, float, float]) -> None:
-    assert gains_at(record(constant_gains(GIVEN)), np.array(pose)) == GIVEN
+    assert gains_at(constant_gains(GIVEN), np.array(pose)) == GIVEN
+
+
+@pytest.mark.parametrize("value", [-1e-9, np.nan, np.inf])
+def test_constant_gains_invalid_gain_is_refused(value: float) -> None:
+    with pytest.raises(ValueError, match="derivative"):
+        constant_gains(GIVEN._replace(derivative=(0.0, value, 0.0)))
 
 
 @given(pose=st.tuples(angle, angle, angle))
@@ -64,18 +65,18 @@ def test_gains_along_interpolates_and_clamps_at_grid_border(
 ) -> None:
     location = np.clip((np.array(pose) - LOWER) / SPACING, 0.0, np.array(SHAPE) - 1.0)
     expected = (1 + location @ [1.0, 10.0, 100.0]) * np.arange(1, 16).reshape(5, 3)
-    found = gains_along(record(linear()), np.array([pose]))[0]
+    found = gains_along(linear(), np.array([pose]))[0]
     assert found == pytest.approx(expected, rel=1e-12)
 
 
 def test_interpolate_gains_nan_angle_uses_lowest_pose() -> None:
     found, nothing = np.zeros((5, 3)), np.full(3, np.nan)
-    interpolate_gains(found, record(linear())[0], nothing, 2.0)
+    interpolate_gains(found, linear()[0], nothing, 2.0)
     assert found == pytest.approx(2.0 * np.arange(1, 16).reshape(5, 3))
 
 
 def test_interpolate_gains_compiled_equals_plain(plain: Callable[..., Any]) -> None:
-    by_hand, table = np.zeros((5, 3)), record(linear())
+    by_hand, table = np.zeros((5, 3)), linear()
     for pose in np.random.default_rng(4).uniform(-2.0, 8.0, (50, 3)):
         plain(interpolate_gains)(by_hand, table.view(np.recarray)[0], pose, 0.9)
         assert gains_along(table, pose[None], 0.9)[0].tolist() == by_hand.tolist()
