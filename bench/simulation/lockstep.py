@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from bench.base.lifecycle import Phase, Reaction
-from bench.control.estimate.residual_monitor import BRAKING, note_deviations, note_shares, row_of
+from bench.control.estimate.residual_monitor import BRAKING, note_deviations, row_of
 from bench.control.moves.references import charging
 from bench.control.step import step
 from bench.control.step_records import ControlParameters, ControlState, new_control_state
@@ -98,31 +98,15 @@ def run(
 
 
 @compiled
-def _compared_row(s: Any, time: float) -> int:
-    """Return the row of the limits that the model-based check compares at `time` (s); -1 if it does not."""
-    if s.phase == Phase.STANDING or charging(s, time) or s.reaction > Reaction.BRAKE:
-        return -1
-    return BRAKING + s.phase if s.reaction == Reaction.BRAKE else row_of(s)
-
-
-@compiled
 def note_largest(largest: Any, state: ControlState, time: float) -> None:
     """Note the deviations of the tick at `time` (s), if the model-based check compares them."""
     s, e = state.control[0], state.estimator[0]
-    row = _compared_row(s, time)
-    if row >= 0:
-        velocity = e.velocity if s.reaction == Reaction.BRAKE else s.reference_velocity
-        note_deviations(largest, state.model[0], state.estimator, velocity, row)
-
-
-@compiled
-def note_shares_of_tick(shares: Any, limits: Any, state: ControlState, time: float) -> None:
-    """Raise `shares` (5, 3) of `limits` to those of the tick at `time` (s), where the check compares them."""
-    s, e = state.control[0], state.estimator[0]
-    row = _compared_row(s, time)
-    if row >= 0:
-        velocity = e.velocity if s.reaction == Reaction.BRAKE else s.reference_velocity
-        note_shares(shares, limits, state.model[0], state.estimator, velocity, row)
+    if s.phase == Phase.STANDING or charging(s, time) or s.reaction > Reaction.BRAKE:
+        return
+    if s.reaction == Reaction.BRAKE:
+        note_deviations(largest, state.model[0], state.estimator, e.velocity, BRAKING + s.phase)
+    else:
+        note_deviations(largest, state.model[0], state.estimator, s.reference_velocity, row_of(s))
 
 
 @compiled

@@ -25,7 +25,8 @@ from scipy import stats
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, Tree, as_tree, laid_over
-from bench.control.estimate.residual_monitor import KINDS
+from bench.base.lifecycle import Reaction
+from bench.control.estimate.residual_monitor import BRAKING, KINDS, LEARNING, SHOCK, row_of
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -39,7 +40,7 @@ from bench.loop.loop import Cycle, CycleArray, Cycles
 from bench.loop.snapshot import read_snapshot, unpack_snapshot
 from bench.records.telemetry.cycle_record import FIELDS, Field
 from bench.records.telemetry.swing_metadata import read_profile, since
-from bench.simulation.lockstep import note_shares_of_tick
+from bench.simulation.lockstep import note_largest
 from drivers.base import JOINTS, Command, DriverError, Readings
 from drivers.base.records import TRUTH
 from sim.plant import PlantParameters
@@ -356,13 +357,20 @@ def residual_shares(cycles: Cycles, metadata: Mapping[str, Any], location: str) 
     """
     start = replay_start(cycles, metadata, location)
     limits, shares = start.parameters.model, np.zeros((len(KINDS), 3))
+    allowed, first = np.stack([limits[kind][0] for kind in KINDS]), int(limits["first_row"][0])
+    largest = np.zeros((len(KINDS), LEARNING, 3))
     watched = limits.copy()
     watched["check"] = True
     for kind in KINDS:
         watched[kind] = np.inf
 
     def watch(state: ControlState, tick: int, time: float) -> None:
-        note_shares_of_tick(shares, limits, state, time)
+        largest[:] = 0.0
+        note_largest(largest, state, time)
+        s = state.control[0]
+        row = BRAKING + s["phase"] if s["reaction"] == Reaction.BRAKE else row_of(s)
+        rows = [first + row, first + SHOCK] if state.model["blow"][0] > 0.0 else [first + row]
+        np.maximum(shares, largest.max(axis=1) / allowed[:, rows].max(axis=1), out=shares)
 
     run_replay(start._replace(parameters=start.parameters._replace(model=watched)), watch)
     return shares

@@ -285,21 +285,3 @@ def note_deviations(largest: Any, m: Any, estimator: Any, reference_velocity: An
         largest[2, row, i] = max(largest[2, row, i], abs(reference_velocity[i] - e.velocity[i]))
         largest[3, row, i] = max(largest[3, row, i], abs(e.innovation[i]))
         largest[4, row, i] = max(largest[4, row, i], abs(m.effort[i]))
-
-
-@compiled
-def note_shares(shares: Any, limits: Any, m: Any, estimator: Any, reference_velocity: Any, row: int) -> None:
-    """Raise `shares` (5, 3), KINDS in order, to what `model_cause` compares, as shares of its `limits`."""
-    p, e = limits[0], estimator[0]
-    if m.settled < _SETTLING:
-        return
-    row += p.first_row
-    loosest = p.first_row + SHOCK if m.blow > 0.0 else row
-    for i in range(3):
-        for k in range(2 * i, 2 * i + 2):
-            shares[0, i] = max(shares[0, i], abs(m.residual[k]) / max(p.air[row, i], p.air[loosest, i]))
-            shares[1, i] = max(shares[1, i], abs(m.flow[k]) / max(p.flow[row, i], p.flow[loosest, i]))
-        late = abs(reference_velocity[i] - e.velocity[i])
-        shares[2, i] = max(shares[2, i], late / max(p.velocity[row, i], p.velocity[loosest, i]))
-        shares[3, i] = max(shares[3, i], abs(e.innovation[i]) / max(p.jump[row, i], p.jump[loosest, i]))
-        shares[4, i] = max(shares[4, i], abs(m.effort[i]) / max(p.effort[row, i], p.effort[loosest, i]))
