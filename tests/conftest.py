@@ -37,6 +37,7 @@ import pytest
 
 if TYPE_CHECKING:
     from bench.config import Configuration
+    from bench.swing.profile import Profile
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - watched, never written
 STALLED = "a stall of this (machine|computer)"
@@ -139,6 +140,15 @@ def configuration() -> Configuration:
     from bench.config import load_configuration, shipped_configuration
 
     return load_configuration(shipped_configuration())
+
+
+@pytest.fixture(scope="session")
+def default_profile() -> Profile:
+    """Return the shipped profile that is used unless another is named."""
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    return load_profile(find_profile("default"))
 
 
 # Leaks -----------------------------------------------------------------------------------------------

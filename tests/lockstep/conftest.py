@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-import bench.swing
 from bench.base.clock import FreeClock
 from bench.control.settings import ControlSettings, build_controller
 from bench.loop.loop import Loop
 from bench.simulation.lockstep import Lockstep
-from bench.swing.profile import Profile, load_profile
+from bench.swing.profile import Profile
 from sim.driver import SimDriver, hanging_pose
 from sim.plant import PlantParameters, advance, build_plant
 
@@ -50,11 +48,6 @@ class Pair(NamedTuple):
         for one, two in zip(self.compiled.state, self.python.state, strict=True):
             assert one.tobytes() == two.tobytes()
         return ours
-
-
-@pytest.fixture(scope="session")
-def default_profile() -> Profile:
-    return load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
 
 
 @pytest.fixture(scope="session")

@@ -38,11 +38,6 @@ def bag() -> Configuration:
     return load_configuration(Path("bag"))
 
 
-@pytest.fixture(scope="module")
-def shipped() -> Configuration:
-    return load_configuration(Path("shipped"))
-
-
 def faults(path: Path) -> list[BenchError]:
     with pytest.raises(ExceptionGroup) as raised:
         load_configuration(path)
@@ -59,11 +54,13 @@ def test_plant_with_club_uses_site_of_club(bag: Configuration) -> None:
     assert build_plant(plant).plant["lie"][0] == plant.robot.lie
 
 
-def test_plant_with_club_without_site_uses_common_site(bag: Configuration, shipped: Configuration) -> None:
-    assert bag.plant == shipped.plant
+def test_plant_with_club_without_site_uses_common_site(
+    bag: Configuration, configuration: Configuration
+) -> None:
+    assert bag.plant == configuration.plant
     ironed = replace(bag, plant=bag.plant_with(club="iron7"))
-    assert ironed.plant_with(club="driver") == shipped.plant
-    assert shipped.plant_with(club="iron7").site == shipped.plant.site
+    assert ironed.plant_with(club="driver") == configuration.plant
+    assert configuration.plant_with(club="iron7").site == configuration.plant.site
 
 
 def test_configuration_swing_club_uses_site_of_club(overlay: Overlay) -> None:

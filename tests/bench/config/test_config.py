@@ -35,11 +35,6 @@ SHIPPED = tomllib.loads(TEXT)
 Overlay = Callable[[str], Path]
 
 
-@pytest.fixture(scope="module")
-def default() -> Configuration:
-    return load_configuration(shipped_configuration())
-
-
 def faults(path: Path) -> list[BenchError]:
     try:
         load_configuration(path)
@@ -68,15 +63,15 @@ def setting(keys: tuple[str, ...], value: str) -> str:
 # The shipped files -----------------------------------------------------------------------------------
 
 
-def test_configuration_text_loads_as_same_configuration(default: Configuration, tmp_path: Path) -> None:
+def test_configuration_text_loads_as_same_configuration(configuration: Configuration, tmp_path: Path) -> None:
     (tmp_path / "printed.toml").write_text(TEXT, encoding="utf-8")
     printed = load_configuration(tmp_path / "printed.toml")
-    assert replace(printed, files=default.files).effective() == default.effective()
+    assert replace(printed, files=configuration.files).effective() == configuration.effective()
     assert "base" not in SHIPPED
     assert len(LEAVES) > 380
 
 
-def test_shipped_config_toml_repeats_no_default(default: Configuration) -> None:
+def test_shipped_config_toml_repeats_no_default(configuration: Configuration) -> None:
     given = tomllib.loads(shipped_configuration().read_text(encoding="utf-8"))
     assert given.pop("base") == "defaults"
     defaults = {keys for keys, _ in leaves(default_tables())}
@@ -104,16 +99,16 @@ def test_configuration_text_shows_units_bounds_and_origins() -> None:
         assert text in " ".join(TEXT.replace("\n# ", " ").split())
 
 
-def test_shipped_balls_differ_by_1_to_2_percent_restitution(default: Configuration) -> None:
-    tour, other = default.balls["tour"], default.balls["range"]
+def test_shipped_balls_differ_by_1_to_2_percent_restitution(configuration: Configuration) -> None:
+    tour, other = configuration.balls["tour"], configuration.balls["range"]
     assert 0.01 <= 1 - other.restitution_factor / tour.restitution_factor <= 0.02
     assert other.mass == tour.mass
 
 
 @pytest.mark.parametrize("path", sorted(VARIANTS.glob("*.toml")), ids=lambda path: path.stem)
-def test_variants_load_by_name(path: Path, default: Configuration) -> None:
+def test_variants_load_by_name(path: Path, configuration: Configuration) -> None:
     variant = load_configuration(Path(path.stem))
-    assert variant != default
+    assert variant != configuration
     assert [file.name for file in variant.files] == ["config.toml", path.name]
 
 
@@ -135,8 +130,8 @@ def test_find_configuration_without_name_prefers_working_directory(
     assert load_configuration().bench.id == "here"
 
 
-def test_effective_configuration_is_plain_data(default: Configuration) -> None:
-    effective = default.effective()
+def test_effective_configuration_is_plain_data(configuration: Configuration) -> None:
+    effective = configuration.effective()
     assert effective["plant"]["wrist"]["stop"]["energy"] == 90.0
     assert effective["plant"]["wrist"]["stop"]["rated"] == 120.0
     assert effective["bench"]["data_dir"] == "data"
@@ -145,10 +140,10 @@ def test_effective_configuration_is_plain_data(default: Configuration) -> None:
 # Overlays --------------------------------------------------------------------------------------------
 
 
-def test_overlay_changes_only_given_keys(overlay: Overlay, default: Configuration) -> None:
+def test_overlay_changes_only_given_keys(overlay: Overlay, configuration: Configuration) -> None:
     found = load_configuration(overlay("[plant.wrist.stop]\ntravel = 0.16"))
-    wanted = replace(default.plant.wrist, stop=replace(default.plant.wrist.stop, travel=0.16))
-    assert found == replace(default, plant=replace(default.plant, wrist=wanted))
+    wanted = replace(configuration.plant.wrist, stop=replace(configuration.plant.wrist.stop, travel=0.16))
+    assert found == replace(configuration, plant=replace(configuration.plant, wrist=wanted))
 
 
 def test_overlay_degrees_and_hertz_equal_si_values(overlay: Overlay) -> None:
@@ -486,20 +481,20 @@ def test_configuration_invalid_toml_reports_location(content: bytes, found: str,
     assert found in fault.found
 
 
-def test_configuration_with_byte_order_mark_loads(tmp_path: Path, default: Configuration) -> None:
+def test_configuration_with_byte_order_mark_loads(tmp_path: Path, configuration: Configuration) -> None:
     path = tmp_path / "notepad.toml"
     path.write_bytes(b'\xef\xbb\xbfbase = "shipped"\r\n')
-    assert load_configuration(path) == default
+    assert load_configuration(path) == configuration
 
 
 def test_configuration_without_working_directory_loads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, default: Configuration
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: Configuration
 ) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
     monkeypatch.chdir(gone)
     gone.rmdir()
-    assert load_configuration() == default
+    assert load_configuration() == configuration
 
 
 def test_configuration_missing_file_lists_variants(tmp_path: Path) -> None:

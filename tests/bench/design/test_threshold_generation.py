@@ -20,15 +20,9 @@ from bench.design.threshold_generation import (
 )
 from bench.simulation.plant_variation import HealthyRun
 from bench.simulation.simulated_bench import Bench
-from bench.swing.library import find_profile
-from bench.swing.profile import Profile, load_profile
+from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 from tests.compiled_only import needs_speed
-
-
-@pytest.fixture(scope="module")
-def default_profile() -> Profile:
-    return load_profile(find_profile("default"))
 
 
 def test_gumbel_quantile_matches_gumbel_distribution() -> None:
