@@ -36,10 +36,6 @@ from sim.plant import ACTUATOR_KEYS, PlantParameters
 Values = Mapping[str, Any]
 """Values by their dotted names in files of limits: numbers, texts, truth values, lists of numbers."""
 
-NAMES_IN_FILES: Mapping[str, str] = {}
-"""Names of values in files of limits where they are called otherwise in the code: a renamed key keeps its
-name there, so that no limits become stale."""
-
 IGNORED_FIELDS = frozenset(
     {
         # They differ from swing to swing, or act only at rest.
@@ -135,7 +131,7 @@ def _as_acting(control: ControlSettings, plant: PlantParameters) -> dict[str, An
 
 
 def _named(values: Mapping[str, Any], group: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the felt values of a nested table by their names in files."""
+    """Yield the felt values of a nested table by their dotted names."""
     for key, value in values.items():
         name = f"{group}.{key}".lstrip(".")
         if name in IGNORED_FIELDS:
@@ -143,7 +139,7 @@ def _named(values: Mapping[str, Any], group: str = "") -> Iterator[tuple[str, An
         if isinstance(value, Mapping):
             yield from _named(value, name)
         else:
-            yield NAMES_IN_FILES.get(name, name), list(value) if isinstance(value, tuple) else value
+            yield name, list(value) if isinstance(value, tuple) else value
 
 
 def _differing(made: Values, here: Values, share: float) -> str:

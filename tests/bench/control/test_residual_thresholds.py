@@ -19,7 +19,6 @@ from bench.control.residual_thresholds import (
     FROM_SETTINGS,
     IGNORED_FIELDS,
     MIN_RELEVANT_TEE_SHIFT,
-    NAMES_IN_FILES,
     REQUIRED,
     SHARE,
     TOLERANCES,
@@ -42,16 +41,11 @@ from bench.control.settings import (
 from bench.simulation.simulated_bench import Bench, Series
 from bench.swing.correction import Correction
 from bench.swing.library import find_profile
-from bench.swing.profile import Profile, load_profile
+from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 from tests.compiled_only import needs_speed
 
 PLANT = PlantParameters()
-
-
-@pytest.fixture(scope="module")
-def default_profile() -> Profile:
-    return load_profile(find_profile("default"))
 
 
 def made_for(profile: Profile, **changed: Any) -> LimitsFingerprint:
@@ -192,18 +186,6 @@ def test_limits_in_use_drift_within_tolerance_stays_valid(default_profile: Profi
     assert far.stale
     assert "wrist.valve.conductance 7.9e-08, here 8.14" in far.source
     assert "and 3 more" in far.source
-
-
-def test_names_in_files_renamed_key_keeps_limits_valid(
-    default_profile: Profile, file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A value with different names in code and file is counted once."""
-    text = file.read_text()
-    assert "wrist_lever = " in text
-    file.write_text(text.replace("wrist_lever = ", "wrist_radius = "))
-    assert limits_in_use(ModelSettings(), made_for(default_profile), [file]).stale
-    monkeypatch.setitem(NAMES_IN_FILES, "wrist_lever", "wrist_radius")
-    assert not limits_in_use(ModelSettings(), made_for(default_profile), [file]).stale
 
 
 def test_tolerances_and_ignored_fields_exist_in_plant(default_profile: Profile) -> None:
