@@ -6,7 +6,7 @@ the air that the one before left, on a plant that may differ from the bench's mo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from typing import Any, NamedTuple
@@ -140,45 +140,28 @@ class SimulatedBench:
 def simulate_swing(
     bench: SimulatedBench, ball: Ball | None = None, *, stop: Callable[[], bool] = never
 ) -> SwingResult:
-    """Arm a vented `bench`, swing once at `ball` (default: the plant's) and return the result.
+    """Arm a vented `bench`, swing once at `ball` (default: the plant's), disarm and return the result.
+
+    When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true, the stopping table brings the
+    robot to rest, and the passive command is sent; the result is then `interrupted`.
 
     Raises:
         Refused: the robot does not reach its address.
         KeyboardInterrupt: `stop` became true before the swing's record began.
     """
-    for result in simulate_swings(bench, [ball or bench.plant.ball], stop=stop):
-        return result
-    raise KeyboardInterrupt
-
-
-def simulate_swings(
-    bench: SimulatedBench, balls: Iterable[Ball | None], *, stop: Callable[[], bool] = never
-) -> Iterator[SwingResult]:
-    """Arm a vented `bench`, swing once at each of `balls` (None: no ball on the tee), then disarm.
-
-    Yields each result as soon as the robot is back at address. A swing that ends in a stop is the last:
-    nothing re-arms automatically. When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true,
-    the stopping table brings the robot to rest and the passive command is sent. The result yielded last is
-    `interrupted`, unless the robot was at address.
-
-    Raises:
-        Refused: the robot does not reach its address.
-    """
     powered = PoweredBench(bench, stop)
     engine = powered.engine
     try:
         if not powered.arm():
-            return
-        for ball in balls:
-            engine.await_air()
-            if stop():
-                engine.rest()
-                return
-            result = powered.swing(ball)
-            yield result
-            if result.cause is not Cause.NONE or result.interrupted:
-                return
-        engine.advance(1, Request.DISARM)
+            raise KeyboardInterrupt
+        engine.await_air()
+        if stop():
+            engine.rest()
+            raise KeyboardInterrupt
+        result = powered.swing(ball or bench.plant.ball)
+        if result.cause is Cause.NONE and not result.interrupted:
+            engine.advance(1, Request.DISARM)
+        return result
     finally:
         engine.stepper.make_passive()
 

@@ -28,7 +28,7 @@ from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.records.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles
-from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
+from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver
@@ -245,7 +245,10 @@ def test_replay_swing_series_of_each_stepper_shows_no_difference(
     bench = reference_bench()
     for stepper in (Lockstep, DriverLoop):
         monkeypatch.setattr("bench.simulation.simulated_bench.Lockstep", stepper)
-        for result in simulate_swings(bench, [bench.plant.ball, None]):
+        powered = PoweredBench(bench)
+        assert powered.arm()
+        for ball in (bench.plant.ball, None):
+            result = powered.swing(ball)
             metadata = json.loads(json.dumps(bench.metadata(result.replay_metadata())))
             replay = replay_cycles(result.cycles, metadata, "swing")
             assert len(replay.recorded) == len(result.cycles) - 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import bench.simulation.simulated_bench
-import bench.swing
 from bench.base.errors import ExitCode, Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
@@ -22,13 +21,8 @@ from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import ShotStatus
 from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.simulated_bench import (
-    SimulatedBench,
-    SwingResult,
-    simulate_swing,
-    simulate_swings,
-)
-from bench.swing.profile import Profile, load_profile
+from bench.simulation.simulated_bench import PoweredBench, SimulatedBench, SwingResult, simulate_swing
+from bench.swing.profile import Profile
 from drivers.base import PASSIVE
 from drivers.base.records import unpack_command
 from sim.ball import Ball
@@ -43,18 +37,20 @@ NEVER = 10**9
 
 
 @pytest.fixture(scope="module")
-def profile() -> Profile:
-    return load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+def robot(default_profile: Profile) -> SimulatedBench:
+    return SimulatedBench(default_profile)
 
 
-@pytest.fixture(scope="module")
-def robot(profile: Profile) -> SimulatedBench:
-    return SimulatedBench(profile)
+def swung(robot: SimulatedBench) -> list[SwingResult]:
+    """Return four swings after one arming, the third without a ball."""
+    powered = PoweredBench(robot)
+    assert powered.arm()
+    return [powered.swing(ball) for ball in (Ball(), SOFT, None, Ball())]
 
 
 @pytest.fixture(scope="module")
 def series(robot: SimulatedBench) -> list[SwingResult]:
-    return list(simulate_swings(robot, [Ball(), SOFT, None, Ball()]))
+    return swung(robot)
 
 
 @pytest.fixture(params=[DriverLoop, Lockstep])
@@ -83,8 +79,8 @@ class ControlC:
         return self.wish_is_made()
 
 
-def test_simulate_swings_ball_gives_valid_shot_with_flight(
-    series: list[SwingResult], profile: Profile
+def test_powered_bench_ball_gives_valid_shot_with_flight(
+    series: list[SwingResult], default_profile: Profile
 ) -> None:
     result = series[0]
     assert (result.status, result.reason, result.cause) == (ShotStatus.VALID, "", Cause.NONE)
@@ -92,7 +88,7 @@ def test_simulate_swings_ball_gives_valid_shot_with_flight(
     assert result.launch is not None
     assert result.flight is not None
     assert result.contact_time is not None
-    assert result.delivery.speed == pytest.approx(profile.delivery["head_speed_mps"], rel=0.05)
+    assert result.delivery.speed == pytest.approx(default_profile.delivery["head_speed_mps"], rel=0.05)
     assert result.launch.speed > 1.3 * result.delivery.speed
     assert 100 < result.flight.carry < 300
     assert result.loads.peak_head_speed >= result.delivery.speed - 0.5
@@ -101,7 +97,7 @@ def test_simulate_swings_ball_gives_valid_shot_with_flight(
     assert result.loads.lowest_clearance > 0
 
 
-def test_simulate_swings_record_spans_hold_to_hold_from_time_zero(series: list[SwingResult]) -> None:
+def test_powered_bench_record_spans_hold_to_hold_from_time_zero(series: list[SwingResult]) -> None:
     for result in series:
         cycles = result.cycles
         assert 0.0 <= cycles["time"][0] < 1e-3
@@ -119,7 +115,7 @@ def test_simulate_swings_record_spans_hold_to_hold_from_time_zero(series: list[S
     assert not first.cycles["ball_present"][after]
 
 
-def test_simulate_swings_soft_ball_is_slower_and_missing_ball_fails(series: list[SwingResult]) -> None:
+def test_powered_bench_soft_ball_is_slower_and_missing_ball_fails(series: list[SwingResult]) -> None:
     assert [r.status for r in series] == [
         ShotStatus.VALID,
         ShotStatus.VALID,
@@ -137,12 +133,11 @@ def test_simulate_swings_soft_ball_is_slower_and_missing_ball_fails(series: list
     assert again.launch.speed == pytest.approx(normal.launch.speed, rel=0.03)
 
 
-def test_simulate_swings_driver_loop_matches_lockstep(
+def test_powered_bench_driver_loop_matches_lockstep(
     robot: SimulatedBench, series: list[SwingResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bench.simulation.simulated_bench, "Lockstep", DriverLoop)
-    slow = simulate_swings(robot, [Ball(), SOFT, None, Ball()])
-    for one, other in zip(series, slow, strict=True):
+    for one, other in zip(series, swung(robot), strict=True):
         assert one.cycles.tobytes() == other.cycles.tobytes()
         assert (one.delivery, one.launch, one.contact_time) == (
             other.delivery,
@@ -150,21 +145,6 @@ def test_simulate_swings_driver_loop_matches_lockstep(
             other.contact_time,
         )
         assert one.loads.stop_energy == pytest.approx(other.loads.stop_energy)
-
-
-def test_simulate_swings_yields_results_lazily(robot: SimulatedBench) -> None:
-    teed = []
-
-    def balls() -> Iterator[Ball]:
-        for name in "abc":
-            teed.append(name)
-            yield Ball(name=name)
-
-    swings = simulate_swings(robot, balls())
-    first = next(swings)
-    assert first.ball is not None
-    assert (first.ball.name, teed) == ("a", ["a"])
-    swings.close()  # type: ignore[attr-defined]
 
 
 def test_simulate_swing_equals_first_swing_of_series(
@@ -203,11 +183,8 @@ def test_swing_result_shot_fills_shot_table_row(series: list[SwingResult]) -> No
     assert (missed.status, missed.ball, missed.carry_m) == (ShotStatus.FAILED, "", None)
 
 
-def test_simulate_swings_envelope_trip_ends_series(robot: SimulatedBench) -> None:
-    lame = replace(robot, envelope=EnvelopeSettings(max_speed=(6.0, 6.0, 48.0)))
-    results = list(simulate_swings(lame, [Ball()] * 3))
-    assert len(results) == 1
-    result = results[0]
+def test_simulate_swing_envelope_trip_gives_failed_shot(robot: SimulatedBench) -> None:
+    result = simulate_swing(replace(robot, envelope=EnvelopeSettings(max_speed=(6.0, 6.0, 48.0))))
     assert (result.status, result.cause) == (ShotStatus.FAILED, Cause.SHOULDER_SPEED)
     assert result.reason == CAUSE_TEXT[Cause.SHOULDER_SPEED]
     assert result.cycles["phase"][-1] == Phase.STANDING
@@ -258,14 +235,14 @@ def swing_ticks(series: list[SwingResult]) -> int:
 def first_question(robot: SimulatedBench, swing_ticks: int) -> int:
     """Return the number of the first question in a swing; there is one every 20 ms."""
     counted = ControlC(lambda: False, NEVER)
-    next(simulate_swings(robot, [Ball()], stop=counted))
+    simulate_swing(robot, stop=counted)
     return counted.asked - swing_ticks // 20
 
 
 @pytest.mark.parametrize(
     "seconds", release_except({-1.5, 0.7, 1.4, 2.5}, [-1.5, 0.2, 0.7, 1.2, 1.4, 1.7, 2.5])
 )
-def test_simulate_swings_interrupt_stops_swing_and_keeps_record(
+def test_simulate_swing_interrupt_stops_swing_and_keeps_record(
     robot: SimulatedBench,
     swing_ticks: int,
     first_question: int,
@@ -279,9 +256,9 @@ def test_simulate_swings_interrupt_stops_swing_and_keeps_record(
     def work() -> None:
         with deferred_interrupt() as wish:
             stop = ControlC(wish.is_made, first_question + round(seconds / 0.02))
-            for result in simulate_swings(robot, [Ball()] * 3, stop=stop):
-                write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
-                results.append(result)
+            result = simulate_swing(robot, stop=stop)
+            write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
+            results.append(result)
 
     with pytest.raises(KeyboardInterrupt):
         work()
@@ -308,8 +285,8 @@ def test_command_line_interrupt_exits_with_130(
 ) -> None:
     def swing(*_: object) -> None:
         with deferred_interrupt() as wish:
-            for result in simulate_swings(robot, [Ball()], stop=ControlC(wish.is_made, 240)):
-                write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
+            result = simulate_swing(robot, stop=ControlC(wish.is_made, 240))
+            write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
 
     monkeypatch.setattr("bench.commands.machine.doctor_bench.probes", swing)  # any command will do
     with pytest.raises(SystemExit) as end:
@@ -318,7 +295,6 @@ def test_command_line_interrupt_exits_with_130(
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_simulate_swings_interrupt_before_start_makes_no_swing(robot: SimulatedBench) -> None:
-    assert list(simulate_swings(robot, [Ball()], stop=lambda: True)) == []
+def test_simulate_swing_interrupt_before_start_makes_no_swing(robot: SimulatedBench) -> None:
     with pytest.raises(KeyboardInterrupt):
         simulate_swing(robot, stop=lambda: True)
