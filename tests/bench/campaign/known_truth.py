@@ -8,7 +8,7 @@ the campaign's number.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import sqrt
@@ -120,6 +120,8 @@ class Counts:
     """First pair called different."""
     models: int = 0
     """First pair's verdict is of the models."""
+    same: int = 0
+    """First pair called the same."""
 
 
 def _looked(case: Case, shots: Sequence[Shot]) -> Iterator[SectionAnalysis]:
@@ -164,7 +166,9 @@ def tally(case: Case, difference: float, campaigns: int, first: int = 0, *, by_s
             found.pairs += 1
             found.covered += covered
             found.watched += covered and (pair.first, pair.second) == watched
-            found.models += pair.models and (pair.first, pair.second) == (names[0], names[1])
+            if (pair.first, pair.second) == (names[0], names[1]):
+                found.models += pair.models
+                found.same += pair.verdict in {"same", "both"}
     return found
 
 
@@ -197,6 +201,7 @@ def cases() -> list[Case]:
         Case("symmetry as shipped, ball SD as the shot's", symmetry, whole),
         Case("2 levels, 5 blocks", plan(2, 5, 12), Known()),
         Case("2 levels, control ball, drift", plan(2, 16, 12, control=True), Known(ball=1.0, drift=0.05)),
+        Case("2 levels, margin", plan(2, 12, 20, control=True, equivalence_margin=2.5), Known(drift=0.05)),
         Case("2 levels, one 3 times as scattered, cells missing", plan(2, 24, 12), uneven),
         Case("2 levels, looked at after each of 20 blocks", plan(2, 20, 20), Known(), looks=True),
         Case("2 levels, club speed as covariate", plan(2, 12, 12, **speed), driven),
@@ -235,7 +240,7 @@ def _split_cases() -> list[Case]:
     ]
 
 
-def rows_of(case: Case, campaigns: int, slack: float) -> list[Row]:
+def rows_of(case: Case, campaigns: int, slack: float, tally: Callable[..., Counts] = tally) -> list[Row]:
     """Return a row's figures; `slack` binomial standard errors are allowed beyond the promise."""
     plan, known = case.plan, case.known
 
@@ -282,4 +287,9 @@ def rows_of(case: Case, campaigns: int, slack: float) -> list[Row]:
         real = tally(case, difference, campaigns, campaigns)
         note = row(f"{difference:.2f} m found", real.found, real.campaigns, (0.77, 0.83))
         rows.append(note._replace(note=f"{note.note}, foretold 0.800"))
+        if margin := plan.analysis.equivalence_margin:
+            same = ahead.same(margin, 0.05)
+            rows.append(row("called the same", null.same, null.campaigns, (same - 0.05, same + 0.05)))
+            real = tally(case, margin, campaigns, 2 * campaigns)
+            rows.append(row("called the same at the margin", real.same, real.campaigns, (0.04, 0.06)))
     return rows
