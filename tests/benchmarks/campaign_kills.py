@@ -2,12 +2,12 @@
 
 After each kill the database must hold shots 1 to n, n never less than before, each with its file whole; at
 the end its table must be that of the uninterrupted campaign, byte for byte. Options: `--kills N`,
-`--batch N`, `--blocks N`.
+`--batch N` shots of a
+transaction, `--blocks N` of five shots each.
 """
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import os
 import signal
@@ -34,7 +34,7 @@ from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.rows import CampaignEntry, CampaignState
 from tests.bench.campaign.as_designed import AsDesigned, arm_all
-from tests.benchmarks.row import Row
+from tests.benchmarks.row import Row, numbers
 
 SEED = 20261121
 LONGEST_LIFE = 1.2
@@ -146,11 +146,7 @@ def plan_of(blocks: int) -> CampaignPlan:
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Kill and resume; takes some minutes."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--batch", type=int, default=5, help="shots of one transaction")
-    parser.add_argument("--blocks", type=int, default=400, help="blocks, five shots each")
-    given = parser.parse_args(arguments)
+    given = numbers("campaign_kills", arguments, kills=200, batch=5, blocks=400)
     with tempfile.TemporaryDirectory() as folder:
         begun = time.perf_counter()
         killed, shots, same = kill_and_resume(plan_of(given.blocks), given.kills, given.batch, Path(folder))

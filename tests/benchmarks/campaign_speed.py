@@ -7,7 +7,6 @@ that of `golfbench campaign report` as a separate process. Options: `--shots N` 
 
 from __future__ import annotations
 
-import argparse
 import resource
 import subprocess
 import sys
@@ -34,7 +33,7 @@ from bench.store.database import open_database
 from bench.store.rows import CampaignState
 from tests.bench.campaign.as_designed import AsDesigned, arm_all
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
-from tests.benchmarks.row import Row
+from tests.benchmarks.row import Row, numbers
 
 TITLE = "campaign speed"
 
@@ -65,10 +64,7 @@ def plan_of(shots: int) -> CampaignPlan:
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Swing, store and report."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--shots", type=int, default=1000)
-    parser.add_argument("--report", type=int, default=10_000)
-    given = parser.parse_args(arguments)
+    given = numbers("campaign_speed", arguments, shots=1000, report=10_000)
     with tempfile.TemporaryDirectory() as folder:
         return [
             *(_swung(Path(folder) / "swung", given.shots) if given.shots else ()),

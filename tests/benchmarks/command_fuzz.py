@@ -7,7 +7,6 @@ memory is monitored.
 
 from __future__ import annotations
 
-import argparse
 import json
 import random
 import subprocess
@@ -37,9 +36,8 @@ from bench.network.command import (
 from bench.network.lease import new_key
 from bench.network.zenoh_session import open_client
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
-from tests.benchmarks.row import Row
+from tests.benchmarks.row import Row, numbers
 
-MESSAGES = 100_000
 WINDOW = 512
 """Messages under way at once: more than a lane of the plane takes."""
 
@@ -272,9 +270,7 @@ def fuzz_plane(count: int) -> list[Row]:
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Fuzz a plane in a separate process."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks command_fuzz")
-    parser.add_argument("--messages", type=int, default=MESSAGES, metavar="N")
-    return fuzz_plane(parser.parse_args(arguments).messages)
+    return fuzz_plane(numbers("command_fuzz", arguments, messages=100_000).messages)
 
 
 def serve(port: int) -> None:

@@ -19,14 +19,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
-from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.config import Configuration
 from bench.control.settings import build_controller
 from bench.faults.catalogue import Instant, instants_of
 from bench.faults.matrix import Workbench
@@ -34,14 +33,13 @@ from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import healthy_plant
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from bench.simulation.swing_operator import LockstepEngine
-from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from drivers.base import JOINTS
 from sim.driver import hanging_pose
 from sim.faults import Fault, own_records
 from sim.plant import build_plant
 from tests.benchmarks.row import Row
-from tests.benchmarks.swept import add_engine_options, swept
+from tests.benchmarks.swept import add_machine_options, machine_of, swept
 
 STOPS = {
     "operator stop": Cause.OPERATOR_STOP,
@@ -223,19 +221,15 @@ def healthy_stop(c: Configuration, profile: Profile, seed: int) -> str:
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Return how many stops end unsafe, by kind of fault, or how many of healthy robots are escalated."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks during_stops")
-    parser.add_argument("--configuration", default="", help="Name or path; else the shipped one.")
-    parser.add_argument("--profile", default="", help="Name or path; else the configuration's.")
-    parser.add_argument("--check", choices=("always", "off"), default="always", help="By the model.")
     parser.add_argument("--delays", type=int, nargs="+", default=DELAYS, metavar="MS")
     parser.add_argument("--shift", type=int, default=0, metavar="MS", help="Move all instants.")
     parser.add_argument("--stops", nargs="+", default=list(STOPS), choices=list(STOPS))
     parser.add_argument("--faults", default="", metavar="PART", help="Only those with it in their name.")
     parser.add_argument("--healthy", type=int, default=0, metavar="N", help="Stop N healthy robots.")
-    parser.add_argument("--first", type=int, default=0, help="Seed of the first.")
-    add_engine_options(parser)
+    add_machine_options(parser)
     options = parser.parse_args(arguments)
-    c = load_configuration(Path(options.configuration) if options.configuration else shipped_configuration())
-    profile = load_profile(find_profile(options.profile or c.swing.profile))
+    c, file = machine_of(options)
+    profile = load_profile(file)
     if options.healthy:
         seeds = range(options.first, options.first + options.healthy)
         return [_escalated(swept(options, HealthyStops(c, profile), seeds, "stopping", c), profile, seeds)]

@@ -9,7 +9,6 @@ nothing else, raise nothing, return readings that fit the record, and count each
 
 from __future__ import annotations
 
-import argparse
 import errno
 import random
 import time
@@ -22,7 +21,7 @@ from drivers.base.records import READINGS, pack_readings
 from drivers.can_bus import FRAME
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from tests.benchmarks.row import Row
+from tests.benchmarks.row import Row, numbers
 from tests.drivers.canopen.frame_classes import CLASSES
 
 PERIOD = 0.001
@@ -142,10 +141,7 @@ def fuzz(frames: int, seed: int, *, listening: bool = True) -> Result:
 
 def run(arguments: Sequence[str]) -> list[Row]:
     """Fuzz and return the results."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks frame_fuzz", description=__doc__)
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args(arguments)
+    chosen = numbers("frame_fuzz", arguments, frames=1_000_000, seed=1)
     title, rows = f"{chosen.frames} frames at the CANopen driver, seed {chosen.seed}", []
     for name, listening in (("latching", True), ("never latched", False)):
         result = fuzz(chosen.frames // 2, chosen.seed + (not listening), listening=listening)

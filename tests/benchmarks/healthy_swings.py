@@ -19,23 +19,22 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Phase, Request, State
-from bench.config import load_configuration, shipped_configuration
 from bench.control.settings import build_controller
 from bench.control.step_records import ControlParameters, new_control_state
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import HealthyRun, healthy_plant, healthy_run
 from bench.simulation.swing_operator import LockstepEngine
-from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose
 from sim.plant import PlantParameters, build_plant
 from tests.benchmarks.row import Row
-from tests.benchmarks.swept import add_engine_options, swept
+from tests.benchmarks.swept import add_machine_options, machine_of, swept
 
 NAME = "healthy_swings"
 INDEX_FROM_HANGING = (0.6, 0.4, 0.4)
@@ -119,13 +118,15 @@ class HealthyRobots:
     profile: Profile
     spread: float
     kind: str
-    """swing, homing or access."""
+    """swing, stops (two swings, and stops of copies), homing or access."""
 
-    def prepared(self) -> Callable[[int], Cause]:
-        """Return the function of a seed."""
+    def prepared(self) -> Callable[[int], Any]:
+        """Return the function of a seed: a Cause; with stops a HealthyRun or None."""
 
-        def stopped_by(seed: int) -> Cause:
+        def stopped_by(seed: int) -> Cause | HealthyRun | None:
             plant = healthy_plant(self.plant, seed, self.spread)
+            if self.kind == "stops":
+                return healthy_run(plant, self.parameters, self.profile, seed)
             if self.kind == "homing":
                 return search(plant, self.parameters)
             if self.kind == "access":
@@ -135,43 +136,19 @@ class HealthyRobots:
         return stopped_by
 
 
-@dataclass(frozen=True)
-class StoppedRobots:
-    """Two swings of robots around `plant`, and stops of copies, by seed."""
-
-    plant: PlantParameters
-    parameters: ControlParameters
-    profile: Profile
-    spread: float
-
-    def prepared(self) -> Callable[[int], HealthyRun | None]:
-        """Return the function of a seed."""
-
-        def run(seed: int) -> HealthyRun | None:
-            plant = healthy_plant(self.plant, seed, self.spread)
-            return healthy_run(plant, self.parameters, self.profile, seed)
-
-        return run
-
-
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Return how many swings were stopped, and by what."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks healthy_swings")
     parser.add_argument("--swings", type=int, default=1000)
-    parser.add_argument("--first", type=int, default=0, help="Seed of the first.")
     parser.add_argument("--homing", action="store_true", help="Search the indices in place of swinging.")
     parser.add_argument(
         "--stops", action="store_true", help="Swing each robot twice, and stop it on the way."
     )
     parser.add_argument("--access", action="store_true", help="Vent and release the guard instead.")
-    parser.add_argument("--check", choices=("always", "off"), default="always", help="By the model.")
-    parser.add_argument("--configuration", default="", help="Name or path; else the shipped one.")
-    parser.add_argument("--profile", default="", help="Name or path; else the configuration's.")
-    add_engine_options(parser)
+    add_machine_options(parser)
     parser.add_argument("--spread", type=float, default=1.0, help="Times the tolerances.")
     options = parser.parse_args(arguments)
-    c = load_configuration(Path(options.configuration) if options.configuration else shipped_configuration())
-    file = find_profile(options.profile or c.swing.profile)
+    c, file = machine_of(options)
     profile = load_profile(file)
     c = replace(c.with_club(profile.club), envelope=c.envelope.with_model_check(options.check))
     limits = Path(c.limits_in_use(profile, file).source).name if options.check != "off" else "none"
@@ -183,12 +160,11 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     note += f", {options.spread:g} times the tolerances"
     promised = 0 if options.spread <= 1.0 else None
     seeds = range(options.first, options.first + options.swings // (2 if options.stops else 1))
-    if options.stops:
-        study = StoppedRobots(c.plant, parameters, profile, options.spread)
-        return _with_stops(swept(options, study, seeds, "stopping", c), seeds, note, promised)
-    kind = "homing" if options.homing else "access" if options.access else "swing"
+    kind = next((name for name in ("stops", "homing", "access") if getattr(options, name)), "swing")
     robots = HealthyRobots(nominal, parameters, profile, options.spread, kind)
-    causes = swept(options, robots, seeds, "swinging", c)
+    causes = swept(options, robots, seeds, kind, c)
+    if options.stops:
+        return _with_stops(causes, seeds, note, promised)
     stopped = [f"{cause.name} (seed {seed})" for cause, seed in zip(causes, seeds, strict=True) if cause]
     note += f": {', '.join(stopped[:4])}" if stopped else ""
     name = f"stopped without a fault, of {len(seeds)}"

@@ -11,7 +11,6 @@ package cannot reach a driver is checked by its imports.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import random
@@ -29,7 +28,7 @@ from drivers.launch_monitor.open_connect import write_heartbeat, write_shot
 from drivers.launch_monitor.record import LaunchRecord
 from drivers.launch_monitor.server import LaunchMonitorServer, Link
 from drivers.launch_monitor.settings import LaunchMonitorSettings
-from tests.benchmarks.row import Row
+from tests.benchmarks.row import Row, numbers
 
 PROBE = Launch(65.0, 0.2, 0.01, 300.0, -0.05)
 _PROBE_NAME = "probe"
@@ -194,12 +193,7 @@ def _probe(server: LaunchMonitorServer, result: Result) -> None:
 
 def run(arguments: Sequence[str]) -> list[Row]:
     """Fuzz and return the results."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.benchmarks launch_monitor_fuzz", description=__doc__
-    )
-    parser.add_argument("--fragments", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args(arguments)
+    chosen = numbers("launch_monitor_fuzz", arguments, fragments=100_000, seed=1)
     result = fuzz(chosen.fragments, chosen.seed)
     title = f"{chosen.fragments} JSON fragments at the launch monitor server, seed {chosen.seed}"
     return rows_of(result, title)

@@ -12,7 +12,6 @@ reached again. Commands are the passive one, or others until the fault.
 
 from __future__ import annotations
 
-import argparse
 import random
 import time
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from drivers.base import PASSIVE, Command
 from drivers.can_bus import FRAME
 from tests.benchmarks.frame_fuzz import make_frame
-from tests.benchmarks.row import Row
+from tests.benchmarks.row import Row, numbers
 from tests.drivers.canopen.frame_classes import CLASSES
 from tests.drivers.canopen.socket_rig import MOVING, NODE, SETTINGS, Found, Rig, found
 
@@ -127,10 +126,7 @@ def _run_episode(ticks: list[list[bytes]], result: NativeFuzz, *, latching: bool
 
 def run(arguments: Sequence[str]) -> list[Row]:
     """Fuzz and return the results."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks native_fuzz", description=__doc__)
-    parser.add_argument("--frames", type=int, default=250_000)
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args(arguments)
+    chosen = numbers("native_fuzz", arguments, frames=250_000, seed=1)
     result = fuzz(chosen.frames, chosen.seed)
     title = f"{result.frames} frames at compiled ticks and at Python's, seed {chosen.seed}"
     compiled = 1.0 - result.declined / (2 * result.ticks)

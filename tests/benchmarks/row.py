@@ -1,7 +1,10 @@
-"""One measured figure and the bound it has to hold."""
+"""One measured figure and the bound it has to hold; options of a benchmark that are numbers."""
 
 from __future__ import annotations
 
+import argparse
+import sys
+from collections.abc import Sequence
 from typing import NamedTuple
 
 
@@ -31,3 +34,12 @@ class Row(NamedTuple):
             for which, bound in (("least", self.at_least), ("most", self.at_most))
             if bound is not None
         )
+
+
+def numbers(name: str, arguments: Sequence[str], **defaults: int) -> argparse.Namespace:
+    """Return the options of benchmark `name`, whole numbers with these defaults."""
+    about = sys.modules[f"tests.benchmarks.{name}"].__doc__
+    parser = argparse.ArgumentParser(prog=f"python -m tests.benchmarks {name}", description=about)
+    for option, default in defaults.items():
+        parser.add_argument(f"--{option}", type=int, default=default, metavar="N")
+    return parser.parse_args(arguments)

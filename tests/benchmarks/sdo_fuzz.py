@@ -11,7 +11,6 @@ time of the bus.
 
 from __future__ import annotations
 
-import argparse
 import logging
 import random
 import time
@@ -21,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from drivers.base import PASSIVE, DriverError
 from drivers.canopen.scan import scan
 from sim.nodes.personality import ENCODER, IO, Personality, find_personality
-from tests.benchmarks.row import Row
+from tests.benchmarks.row import Row, numbers
 from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan
 
 _ABORTS = (
@@ -139,10 +138,7 @@ def fuzz(dialogues: int, seed: int) -> FuzzedStartups:
 
 def run(options: Sequence[str] = ()) -> list[Row]:
     """Return the results of a long run."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks sdo_fuzz")
-    parser.add_argument("--dialogues", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args(options)
+    chosen = numbers("sdo_fuzz", options, dialogues=100_000, seed=1)
     logging.getLogger("canopen").setLevel(logging.CRITICAL + 1)  # the simulated nodes' view of lost answers
     result = fuzz(chosen.dialogues, chosen.seed)
     for text in (*result.escaped, *result.unnamed):
