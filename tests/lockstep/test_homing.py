@@ -14,8 +14,8 @@ from bench.base.configuration_files import find_configuration
 from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from bench.config import load_configuration
 from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
-from bench.control.settings import SIMULATED, EnvelopeSettings, HomingSettings, build_controller
-from bench.control.step_records import new_control_state
+from bench.control.settings import EnvelopeSettings, HomingSettings, build_controller
+from bench.control.step_records import ControlParameters, new_control_state
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import unknown_plant
 from bench.simulation.swing_operator import SETTLING_TIMEOUT, LockstepEngine
@@ -42,15 +42,24 @@ FASTEST = np.array([2.0, 2.0, 4.5])
 MakeBench = Callable[..., Lockstep]
 
 
+def in_safe(
+    plant: PlantParameters, parameters: ControlParameters, angle: np.ndarray | None = None, ticks: int = 20
+) -> Lockstep:
+    """Return a bench in SAFE after `ticks`, at joint angles `angle`, by default hanging."""
+    bench = Lockstep(build_plant(plant), parameters, hanging_pose(plant) if angle is None else angle)
+    bench.state = new_control_state(State.SAFE)
+    bench.advance(ticks)
+    return bench
+
+
+def kind(*, incremental: bool) -> tuple[PlantParameters, HomingSettings]:
+    return (PLANT, HOMING) if incremental else (PlantParameters(), HomingSettings())
+
+
 @pytest.fixture(scope="module")
 def make_bench(default_profile: Profile) -> MakeBench:
     def make(angle: np.ndarray | None = None, plant: PlantParameters = PLANT) -> Lockstep:
-        start = hanging_pose(plant) if angle is None else angle
-        parameters = build_controller(plant, default_profile, lifecycle=SIMULATED, homing=HOMING)
-        bench = Lockstep(build_plant(plant), parameters, start)
-        bench.state = new_control_state(State.SAFE)
-        bench.advance(20)
-        return bench
+        return in_safe(plant, build_controller(plant, default_profile, homing=HOMING), angle)
 
     return make
 
@@ -205,16 +214,12 @@ def test_homing_settings_pose_reference_takes_hanging_pose(default_profile: Prof
 
 def begin(default_profile: Profile, offset: tuple[float, float, float], *, incremental: bool) -> Lockstep:
     """Return a vented bench whose encoders read `offset` rad too much."""
-    plant = PLANT if incremental else PlantParameters()
-    homing = HOMING if incremental else HomingSettings()
-    parameters = build_controller(plant, default_profile, lifecycle=SIMULATED, homing=homing)
+    plant, homing = kind(incremental=incremental)
     encoders = plant.encoders
     a, b, c = (np.array(encoders.zero_count) + np.round(np.array(offset) * COUNTS / (2 * pi))).tolist()
     turned = replace(plant, encoders=replace(encoders, zero_count=(a, b, c)))
-    bench = Lockstep(build_plant(turned), parameters, hanging_pose(plant))
-    bench.state = new_control_state(State.SAFE)
-    bench.advance(3000)
-    return bench
+    parameters = build_controller(plant, default_profile, homing=homing)
+    return in_safe(turned, parameters, hanging_pose(plant), 3000)
 
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
@@ -257,13 +262,9 @@ def test_pressed_stops_unknown_plant_lie_within_half_tolerance(
     default_profile: Profile, seed: int, incremental: bool
 ) -> None:
     """The bench believes in the nominal plant; false alarms must be far away."""
-    believed = PLANT if incremental else PlantParameters()
-    homing = HOMING if incremental else HomingSettings()
-    parameters = build_controller(believed, default_profile, lifecycle=SIMULATED, homing=homing)
-    robot = unknown_plant(believed, seed)
-    bench = Lockstep(build_plant(robot), parameters, hanging_pose(robot))
-    bench.state = new_control_state(State.SAFE)
-    bench.advance(3000)
+    believed, homing = kind(incremental=incremental)
+    parameters = build_controller(believed, default_profile, homing=homing)
+    bench = in_safe(unknown_plant(believed, seed), parameters, ticks=3000)
     bench.advance(1, Request.HOME)
     control, limits = bench.state.control[0], parameters.control[0]
     found: dict[int, float] = {}
@@ -347,13 +348,10 @@ RAISED = {
 def test_homing_precharge_from_rest_pose_limits_motion(
     default_profile: Profile, name: str, incremental: bool
 ) -> None:
-    plant = PLANT if incremental else PlantParameters()
-    homing = HOMING if incremental else HomingSettings()
+    plant, homing = kind(incremental=incremental)
     check = EnvelopeSettings().with_model_check("always")
-    parameters = build_controller(plant, default_profile, envelope=check, lifecycle=SIMULATED, homing=homing)
-    bench = Lockstep(build_plant(plant), parameters, np.array(RAISED[name]))
-    bench.state = new_control_state(State.SAFE)
-    bench.advance(6000)
+    parameters = build_controller(plant, default_profile, envelope=check, homing=homing)
+    bench = in_safe(plant, parameters, np.array(RAISED[name]), 6000)
     records = home(bench)
     assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
     charged = int(1000 * (parameters.control["warning_time"][0] + parameters.control["precharge_time"][0]))
@@ -367,10 +365,8 @@ def test_index_homing_variant_from_stops_reaches_ready(name: str) -> None:
     """Where an interrupted homing leaves the robot: as far from the index as can be, pressed by full air."""
     c = load_configuration(find_configuration(Path(name)))
     plant, profile = counting(c.plant), load_profile(find_profile(c.swing.profile))
-    parameters = build_controller(plant, profile, c.control, lifecycle=SIMULATED, homing=HOMING)
-    bench = Lockstep(build_plant(plant), parameters, joint_travel(plant)[0])
-    bench.state = new_control_state(State.SAFE)
-    bench.advance(20)
+    parameters = build_controller(plant, profile, c.control, homing=HOMING)
+    bench = in_safe(plant, parameters, joint_travel(plant)[0])
     home(bench)
     assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
 

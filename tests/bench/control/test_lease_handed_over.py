@@ -59,23 +59,16 @@ def grant_access(led: Led) -> None:
     led.say(lease=2)
 
 
-def test_lease_change_disarms_armed_bench(led: Led) -> None:
+def test_lease_change_disarms_armed_bench_and_refuses_swing_of_new_holder(led: Led) -> None:
     puppet = reach(State.ARMED)
     led.run(puppet, 5)
     assert not puppet.is_without_energy()
     grant_access(led)
+    led.ask(Request.SWING)
     led.run(puppet, 1)
     assert puppet.bench is State.READY
     assert puppet.is_without_energy()
-
-
-def test_lease_change_refuses_swing_of_new_holder(led: Led) -> None:
-    puppet = reach(State.ARMED)
-    led.run(puppet, 5)
-    grant_access(led)
-    led.ask(Request.SWING)
     led.run(puppet, 50)
-    assert puppet.bench is State.READY
     assert not puppet.control["swings"]
 
 

@@ -2,31 +2,15 @@
 
 from __future__ import annotations
 
-from math import nan
+from math import nan, pi
 
 import pytest
 
-from bench.base.lifecycle import (
-    REFUSAL_TEXT,
-    Answer,
-    Cause,
-    Refusal,
-    Request,
-    State,
-)
+from bench.base.lifecycle import REFUSAL_TEXT, Answer, Cause, Refusal, Request, State
 from bench.control.settings import holding_pressure
 from sim.plant import PlantParameters
-from tests.bench.control.operating import (
-    TIMES,
-    asked,
-    at_power_up,
-    lose,
-    press,
-    reach,
-    timed,
-    until,
-)
-from tests.bench.control.puppet import Puppet
+from tests.bench.control.operating import TIMES, asked, at_power_up, lose, press, reach, timed, until
+from tests.bench.control.puppet import ATMOSPHERE, COUNTS, Puppet
 
 
 def test_refusal_text_covers_each_refusal_uniquely() -> None:
@@ -134,13 +118,6 @@ def test_reset_clears_encoders_suspect() -> None:
     assert not puppet.control["encoders_suspect"]
 
 
-def test_chamber_pressure_in_access_faults_and_locks_guard() -> None:
-    puppet = reach(State.ACCESS)
-    puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6).tick()
-    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.NOT_VENTED)
-    assert puppet.record["guard_lock"][0]
-
-
 def test_reset_with_chamber_pressure_refused() -> None:
     puppet = reach(State.READY)
     puppet.give(chamber_pressure=(2e5,) * 6).tick()
@@ -176,6 +153,88 @@ def test_home_by_vented_pose_requires_empty_chambers(fitted: bool) -> None:
     else:
         puppet.run(110)
     assert asked(puppet, Request.HOME) is Refusal.NONE
+
+
+def test_reset_keeps_encoders_suspect_until_vented() -> None:
+    puppet = timed(
+        reach(State.ARMED), vent_timeout=0.3, rest_time_vented=0.05, rest_time_without_encoders=0.1
+    )
+    puppet.give(chamber_pressure=(6e5,) * 6)
+    puppet.give(encoder_valid=(0, 1, 1)).run(30)
+    puppet.give(encoder_valid=1)
+    assert until(puppet, State.FAULT) is State.FAULT
+    puppet.run(150)
+    assert puppet.control["encoders_suspect"]
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+    for bar in (5.5, 5.0, 4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
+        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(1)
+    puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(50)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    assert puppet.control["encoders_suspect"]
+    puppet.run(55)
+    assert not puppet.control["encoders_suspect"]
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED  # the venting took longer
+    puppet.run(200)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_arm_after_reset_ignores_recent_stop() -> None:
+    puppet = reach(State.ARMED)
+    puppet.step(Request.STOP)
+    puppet.run(200)
+    assert puppet.bench is State.FAULT
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+    assert asked(puppet, Request.ARM) is Refusal.NONE
+
+
+# Rest -------------------------------------------------------------------------------------------------
+
+STILL_CASES = (
+    (State.FAULT, Request.RESET),
+    (State.ESTOP, Request.RESET),
+    (State.READY, Request.ARM),
+    (State.READY, Request.HOME),
+)
+each_case = pytest.mark.parametrize(
+    ("state", "request_"), STILL_CASES, ids=[f"{s.name}-{request.name}" for s, request in STILL_CASES]
+)
+
+
+def turn(puppet: Puppet, joint: int, speed: float, ticks: int) -> None:
+    """Turn `joint` of the standing robot at `speed` (rad/s)."""
+    for _ in range(ticks):
+        puppet.angle[joint] += speed * puppet.period
+        puppet.tick()
+
+
+@each_case
+@pytest.mark.parametrize("joint", range(3))
+def test_request_moving_joint_refused(state: State, request_: Request, joint: int) -> None:
+    puppet = reach(state)
+    turn(puppet, joint, 0.5, 100)
+    press(puppet)
+    assert asked(puppet, request_) is Refusal.MOVING
+    assert puppet.bench is state
+    turn(puppet, joint, 0.5, 20)
+    puppet.run(20)  # slow, as where a pendulum turns round
+    press(puppet)
+    assert asked(puppet, request_) is Refusal.MOVING
+    puppet.run(100)
+    press(puppet)
+    assert asked(puppet, request_) is Refusal.NONE
+
+
+@each_case
+def test_request_flickering_count_accepted(state: State, request_: Request) -> None:
+    puppet = reach(state)
+    at = puppet.angle.copy()
+    for k in range(200):
+        puppet.angle = at + (k % 2) * 2 * pi / COUNTS
+        puppet.tick()
+    press(puppet)
+    assert asked(puppet, request_) is Refusal.NONE
 
 
 # The button beside the robot --------------------------------------------------------------------------

@@ -86,17 +86,6 @@ def test_arm_open_interlock_refused(name: str) -> None:
     assert (puppet.tick(Request.RESET), puppet.tick(Request.ARM)) == (Answer.ACCEPTED, Answer.ACCEPTED)
 
 
-@pytest.mark.parametrize("joint", range(3))
-def test_arm_invalid_encoder_refused(joint: int) -> None:
-    puppet = Puppet()
-    puppet.readings["encoder_valid"][0, joint] = 0
-    puppet.run(10)
-    assert puppet.tick(Request.ARM) == Answer.REFUSED
-    puppet.readings["encoder_valid"] = 1
-    puppet.run(2)
-    assert puppet.tick(Request.ARM) == Answer.ACCEPTED
-
-
 def test_arm_starts_reference_at_current_pose() -> None:
     puppet = Puppet()
     puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]
@@ -183,27 +172,6 @@ def test_move_to_address_missed_address_reports_timeout() -> None:
     assert (puppet.phase, puppet.reaction) == (Phase.STANDING, Reaction.VENT)
 
 
-@pytest.mark.parametrize("joint", range(3))
-def test_swing_outside_address_tolerance_refused(joint: int) -> None:
-    puppet = entered(Phase.HOLD)
-    tolerance = QUICK.address_tolerance[joint]
-    for miss, answer in ((1.1, Answer.REFUSED), (-1.1, Answer.REFUSED), (0.9, Answer.ACCEPTED)):
-        puppet.shift(joint, miss * tolerance)
-        puppet.run(100)
-        assert puppet.tick(Request.SWING) == answer
-
-
-def test_swing_moving_joint_refused() -> None:
-    puppet = entered(Phase.HOLD)
-    for _ in range(20):
-        puppet.offset[2] += 0.0012  # 1.2 rad/s
-        puppet.tick()
-    assert puppet.tick(Request.SWING) == Answer.REFUSED
-    puppet.offset[2] = 0.0
-    puppet.run(100)
-    assert puppet.tick(Request.SWING) == Answer.ACCEPTED
-
-
 def test_swing_start_keeps_openings_continuous() -> None:
     profile = replace(STILL, valve=np.full((SAMPLES, 3), 0.2))
     puppet = Puppet(profile).hold()
@@ -227,15 +195,6 @@ def test_disarm_vents_hold_and_brakes_slow_move(phase: Phase) -> None:
         puppet.run(1600)
         rests = State.SAFE if phase is Phase.HOMING else State.READY
         assert (puppet.bench, puppet.is_without_energy()) == (rests, True)
-
-
-def test_disarm_during_brake_refused() -> None:
-    puppet = entered(Phase.HOLD)
-    puppet.readings["guard_closed"] = False
-    puppet.tick()
-    assert puppet.reaction is Reaction.BRAKE
-    assert puppet.tick(Request.DISARM) == Answer.REFUSED
-    assert puppet.reaction is Reaction.BRAKE
 
 
 @each_phase

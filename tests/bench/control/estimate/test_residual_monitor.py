@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import bench.swing
 from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimate.estimator import ESTIMATOR_STATE
@@ -65,36 +63,23 @@ def judged(model: Any, estimator: Any, reference: Any = SPEEDS, phase: Phase = P
     return Cause(model_cause(limits(), model[0], estimator, np.asarray(reference, float), int(phase)))
 
 
+@pytest.mark.parametrize(("field", "limit", "valve"), [("residual", 10.0, "AIR"), ("flow", 50.0, "FLOW")])
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("side", range(2))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_model_cause_air_over_limit_reports_sensor_or_air(joint: int, side: int, sign: float) -> None:
+def test_model_cause_chamber_over_limit_reports_sensor_or_valve(
+    field: str, limit: float, valve: str, joint: int, side: int, sign: float
+) -> None:
     model, estimator = settled()
     name = ("SHOULDER", "ARM", "WRIST")[joint]
-    model["residual"][0, 2 * joint + side] = sign * 10.0
+    model[field][0, 2 * joint + side] = sign * limit
     assert judged(model, estimator) is Cause.NONE
-    model["residual"][0, 2 * joint + side] = sign * 10.0001
+    model[field][0, 2 * joint + side] = sign * limit * 1.00001
     assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
-    model["residual"][0, 2 * joint + 1 - side] = 2.0
+    model[field][0, 2 * joint + 1 - side] = 0.2 * limit
     assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
-    model["residual"][0, 2 * joint + 1 - side] = -2.001
-    assert judged(model, estimator) is Cause[f"{name}_AIR"]
-
-
-@pytest.mark.parametrize("joint", range(3))
-@pytest.mark.parametrize("side", range(2))
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_model_cause_flow_over_limit_reports_sensor_or_flow(joint: int, side: int, sign: float) -> None:
-    model, estimator = settled()
-    name = ("SHOULDER", "ARM", "WRIST")[joint]
-    model["flow"][0, 2 * joint + side] = sign * 50.0
-    assert judged(model, estimator) is Cause.NONE
-    model["flow"][0, 2 * joint + side] = sign * 50.001
-    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
-    model["flow"][0, 2 * joint + 1 - side] = 10.0
-    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
-    model["flow"][0, 2 * joint + 1 - side] = -10.001
-    assert judged(model, estimator) is Cause[f"{name}_FLOW"]
+    model[field][0, 2 * joint + 1 - side] = -0.2001 * limit
+    assert judged(model, estimator) is Cause[f"{name}_{valve}"]
 
 
 @pytest.mark.slow
@@ -208,12 +193,13 @@ def watch(
     head: Any = AWAY,
     indexed: Any = INDEXED,
     vent: float = 0.0,
+    braking: bool = False,
 ) -> None:
     for _ in range(ticks):
         applied = np.array([valve, 0.0, 0.0])
         observe(
             *(model[0], ROBOT, PLANT, ENVELOPE, estimator, indexed, readings, applied),
-            *(SPEEDS, head, vent, False, step),
+            *(SPEEDS, head, vent, braking, step),
         )
 
 
@@ -420,22 +406,7 @@ def test_observe_braking_lowers_speed_limit_of_blow(
 ) -> None:
     model, estimator, readings = still()
     head = np.array([0.25 + along, -1.62 + above, 0.0, speed, 0.0, 0.0])
-    for _ in range(2):
-        observe(
-            model[0],
-            ROBOT,
-            PLANT,
-            ENVELOPE,
-            estimator,
-            INDEXED,
-            readings,
-            np.zeros(3),
-            SPEEDS,
-            head,
-            0.0,
-            braking,
-            1e-3,
-        )
+    watch(model, estimator, readings, 2, head=head, braking=braking)
     assert model["blow"][0] == blow
 
 
@@ -458,45 +429,41 @@ def test_observe_follows_measured_pressure() -> None:
     assert abs(model["residual"][0, 1]) < 2e3
 
 
+def armed(check: Any) -> Lockstep:
+    """Return a bench at the address of the shipped swing, with its air as planned."""
+    profile = load_profile(find_profile("default"))
+    envelope = EnvelopeSettings(model=ModelSettings(check=check))
+    parameters = build_controller(PlantParameters(), profile, envelope=envelope)
+    stepper = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
+    engine = LockstepEngine(stepper)
+    assert engine.arm()
+    assert engine.await_air()
+    return stepper
+
+
 @pytest.mark.slow
 @needs_speed
 def test_residual_monitor_fault_free_swing_stays_below_limits() -> None:
-    profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
-    envelope = EnvelopeSettings(model=ModelSettings(check="always"))
-    parameters = build_controller(PlantParameters(), profile, envelope=envelope)
-    bench_ = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
-    engine = LockstepEngine(bench_)
-    assert engine.arm()
-    assert engine.await_air()
-    bench_.state.control["tee"] = True
+    stepper = armed("always")
+    stepper.state.control["tee"] = True
     worst, request = 0.0, int(Request.SWING)
-    for _ in range(len(profile.angle) // 5):
-        bench_.advance(5, request)
+    for _ in range(len(stepper.parameters.angle) // 5):
+        stepper.advance(5, request)
         request = 0
-        phase = int(bench_.state.control["phase"][0])
-        model, limit = bench_.state.model[0], parameters.model[0]
+        phase = int(stepper.state.control["phase"][0])
+        model, limit = stepper.state.model[0], stepper.parameters.model[0]
         air = np.abs(model["residual"]).reshape(3, 2).max(axis=1) / limit["air"][phase]
         worst = max(
             worst, float(np.nanmax(air)), float(np.nanmax(np.abs(model["effort"]) / limit["effort"][phase]))
         )
-    assert bench_.state.control["cause"][0] == 0
+    assert stepper.state.control["cause"][0] == 0
     assert worst < 0.8
 
 
 @needs_speed
 def test_model_check_fault_free_swing_keeps_record_identical() -> None:
-    profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
-
-    def record(check: Any) -> bytes:
-        envelope = EnvelopeSettings(model=ModelSettings(check=check))
-        parameters = build_controller(PlantParameters(), profile, envelope=envelope)
-        stepper = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
-        engine = LockstepEngine(stepper)
-        assert engine.arm()
-        assert engine.await_air()
-        return stepper.advance(2000, Request.SWING).tobytes()
-
-    assert record("off") == record("always")
+    off, always = (armed(check).advance(2000, Request.SWING).tobytes() for check in ("off", "always"))
+    assert off == always
 
 
 @needs_speed
@@ -516,21 +483,8 @@ def test_observe_compiled_equals_plain(plain: Callable[[Callable[..., Any]], Cal
             *(one[0], ROBOT, PLANT, ENVELOPE, estimator, INDEXED, readings, applied),
             *(SPEEDS, AWAY, 0.0, False, 1e-3),
         )
-        slow(
-            two[0],
-            robot,
-            plant,
-            ENVELOPE.view(np.recarray),
-            estimator.view(np.recarray),
-            INDEXED,
-            readings.view(np.recarray),
-            applied,
-            SPEEDS,
-            AWAY,
-            0.0,
-            False,
-            1e-3,
-        )
+        seen = (estimator.view(np.recarray), INDEXED, readings.view(np.recarray), applied)
+        slow(two[0], robot, plant, ENVELOPE.view(np.recarray), *seen, SPEEDS, AWAY, 0.0, False, 1e-3)
     for name in MODEL_STATE.names or ():
         np.testing.assert_allclose(
             np.asarray(one[name], float), np.asarray(two[name], float), rtol=1e-9, atol=1e-9

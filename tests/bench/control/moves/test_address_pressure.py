@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -36,6 +35,7 @@ Array = np.ndarray[Any, Any]
 PLANT = PlantParameters()
 NEAR_GROUND = replace(PLANT, site=replace(PLANT.site, ground=-1.62))
 """The robot on ground to which its club hangs down."""
+PLANNED = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)
 TOLERANCE = SIMULATED.pressure_tolerance
 LOOKED_AT = 1.02 * TOLERANCE
 """Pa, where the engine looks every ten ticks only: chambers leak."""
@@ -262,9 +262,8 @@ def test_return_joint_hunting_near_address_enters_hold(miss: float, planned: boo
 
     Its PID alone took it from one side to the other.
     """
-    air = (5.9e5,) * 6 if planned else ()
     patient = replace(QUICK, move_timeout=6.0)
-    puppet = Puppet(replace(STILL, air=air, air_supply=8e5 if planned else 0.0), patient).enter(Phase.RETURN)
+    puppet = Puppet(PLANNED if planned else STILL, patient).enter(Phase.RETURN)
     puppet.shift(2, miss)
     puppet.run(1000)
     assert puppet.phase is Phase.RETURN
@@ -278,8 +277,7 @@ def test_return_joint_hunting_near_address_enters_hold(miss: float, planned: boo
 def test_return_slip_after_move_end_clears_integral(waited: int, forgotten: bool) -> None:
     """A shoulder slipped 0.1 rad to either side of its address, beyond the hold's limit, until timeout."""
     patient = replace(QUICK, move_timeout=6.0)
-    profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)
-    puppet = Puppet(profile, patient).enter(Phase.RETURN)
+    puppet = Puppet(PLANNED, patient).enter(Phase.RETURN)
     puppet.shift(0, -0.1)
     puppet.run(waited)
     wound = puppet.state.pid[0]["integral"][0]
@@ -295,8 +293,7 @@ def test_return_slip_after_move_end_clears_integral(waited: int, forgotten: bool
 @pytest.mark.parametrize("planned", [True, False])
 def test_feed_forward_planned_air_omits_dead_band_opening(*, planned: bool) -> None:
     """Dither and dead-band compensation together drove a soft shoulder past its return's limit."""
-    profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5) if planned else STILL
-    puppet = Puppet(profile, replace(QUICK, gains="machine")).enter(Phase.RETURN)
+    puppet = Puppet(PLANNED if planned else STILL, replace(QUICK, gains="machine")).enter(Phase.RETURN)
     control, parameters = puppet.control, puppet.parameters.control[0]
     control["move"]["origin"][:] = puppet.parameters.angle[0] - 0.2
     control["move"]["start"], control["move"]["duration"] = puppet.time, 2.0
@@ -327,7 +324,7 @@ def test_arming_soft_shoulder_reaches_address(seed: int) -> None:
 @pytest.mark.parametrize(("waited", "caught"), [(50, False), (700, True)])
 def test_hold_joint_slipping_through_band_marks_slipped(waited: int, caught: bool) -> None:
     """A shoulder slipped to and fro by 0.03 rad, until it touched the ball; not while it arrives."""
-    puppet = Puppet(replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)).hold()
+    puppet = Puppet(PLANNED).hold()
     puppet.follows = False
     puppet.shift(0, -0.02)
     puppet.run(waited)
@@ -348,25 +345,17 @@ def test_address_pressure_without_planned_air_stays_idle() -> None:
     assert puppet.bench is State.SWINGING
 
 
-Spoil = Callable[[Puppet], None]
-
-
-def spoil_pressures(puppet: Puppet) -> None:
-    puppet.state.air["pressure"] = np.nan
-
-
-def spoil_supply(puppet: Puppet) -> None:
-    puppet.give(supply_pressure=np.nan)
-
-
-@pytest.mark.parametrize("spoil", [spoil_pressures, spoil_supply])
-def test_address_pressure_nan_readings_keep_openings_bounded(spoil: Spoil) -> None:
-    puppet = Puppet(replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)).hold()
-    spoil(puppet)
+@pytest.mark.parametrize("spoilt", ["pressures", "supply"])
+def test_address_pressure_nan_readings_keep_openings_bounded(spoilt: str) -> None:
+    puppet = Puppet(PLANNED).hold()
+    if spoilt == "supply":
+        puppet.give(supply_pressure=np.nan)
+    else:
+        puppet.state.air["pressure"] = np.nan
     openings = puppet.run(50)
     assert np.all(np.isfinite(openings))
     assert np.abs(openings).max() < 0.5
-    assert puppet.tick(Request.SWING) != 1 or spoil is spoil_supply
+    assert puppet.tick(Request.SWING) != 1 or spoilt == "supply"
 
 
 # Other machines ---------------------------------------------------------------------------------------
@@ -398,10 +387,7 @@ def machine(profile: Profile, **valve: float) -> tuple[PlantParameters, Profile]
 )
 def test_address_pressure_known_valves_reach_plan(valve: dict[str, float], profile: Profile) -> None:
     plant, planned = machine(profile, **valve)
-    bench = LockstepEngine(
-        Lockstep(build_plant(plant), build_controller(plant, planned), hanging_pose(plant))
-    )
-    bench.advance(200)
+    bench = bench_on(planned, plant, model=plant)
     bench.arm()
     assert bench.await_air()
     assert np.abs(deviation(bench, planned)).max() < 1.6 * TOLERANCE
@@ -422,8 +408,7 @@ def test_hold_stick_slip_joint_stays_at_address(profile: Profile) -> None:
     plant = replace(PLANT, shoulder=shoulder, right_arm=arm)
     planned = with_planned_air(profile, plant)
     for start in (hanging_pose(plant), planned.angle[0] + [-0.1, 0.0, 0.0]):
-        bench = LockstepEngine(Lockstep(build_plant(plant), build_controller(plant, planned), start))
-        bench.advance(200)
+        bench = bench_on(planned, plant, start, plant)
         bench.arm()
         assert bench.await_air()
         held = bench.advance(6000)["angle"]
@@ -460,9 +445,7 @@ def test_arming_unmodelled_leakage_reaches_planned_air(profile: Profile, seed: i
     )
     model = replace(PLANT, right_arm=found, encoders=replace(PLANT.encoders, latency=6.4e-4))
     planned, plant = with_planned_air(profile, model), healthy_plant(model, seed)
-    controller = build_controller(model, planned)
-    bench = LockstepEngine(Lockstep(build_plant(plant), controller, hanging_pose(plant)))
-    bench.advance(200)
+    bench = bench_on(planned, plant, model=model)
     bench.arm()
     assert bench.await_air(), bench.cause.name
 
@@ -492,8 +475,5 @@ def test_swing_known_spool_centre_keeps_delivery(profile: Profile) -> None:
 @needs_speed
 def test_standing_robot_offset_centre_commands_zero(profile: Profile) -> None:
     plant, planned = machine(profile, centre=0.03)
-    bench = LockstepEngine(
-        Lockstep(build_plant(plant), build_controller(plant, planned), hanging_pose(plant))
-    )
-    bench.advance(200)
+    bench = bench_on(planned, plant, model=plant)
     assert np.all(bench.stepper.command["valve"] == 0.0)
