@@ -46,6 +46,7 @@ from drivers.base.records import TRUTH
 from sim.plant import PlantParameters
 
 TOLERANCE = 1e-9
+_COPY, _VERSION = "Restore the record from a copy.", "Replay a record of this version."
 
 _PERMISSIONS = ("lease_held", "support_ready", "supervisor_alive", "device_operational")
 INPUTS = frozenset({*Readings._fields, "tick", "request", "request_number", *_PERMISSIONS})
@@ -133,31 +134,23 @@ def replay_start(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> 
     """
     snapshot = read_snapshot(metadata, location)
     if not metadata.get("replayable", False):
-        raise BenchError(
-            location,
-            f"a record with {metadata.get('lost_records', 'some')} cycles lost",
-            "every cycle, as the controller has a memory",
-            "Replay a record without lost cycles.",
-        )
+        lost = f"a record with {metadata.get('lost_records', 'some')} cycles lost"
+        wanted = "every cycle, as the controller has a memory"
+        raise BenchError(location, lost, wanted, "Replay a record without lost cycles.")
     begin = metadata.get("begin")
     if not isinstance(begin, int | float):
         raise BenchError(
-            f"{location}: begin",
-            repr(begin),
-            "the loop time at the record's time zero, s",
-            "Restore the record from a copy.",
+            f"{location}: begin", repr(begin), "the loop time at the record's time zero, s", _COPY
         )
     first = int(np.searchsorted(cycles["tick"], snapshot["tick"][0], side="right"))
     recorded = cycles[first:]
     if first == 0 or cycles["tick"][first - 1] != snapshot["tick"][0] or len(recorded) == 0:
-        raise BenchError(
-            f"{location}: snapshot",
-            f"tick {snapshot['tick'][0]}",
+        whole = (
             f"one of {cycles['tick'][0]} to {cycles['tick'][-1] - 1}"
             if len(cycles)
-            else "a record with cycles",
-            "Restore the record from a copy.",
+            else "a record with cycles"
         )
+        raise BenchError(f"{location}: snapshot", f"tick {snapshot['tick'][0]}", whole, _COPY)
     parameters, defaults = controller_of(metadata, location)
     return ReplayStart(recorded, float(begin), unpack_snapshot(snapshot), parameters, defaults)
 
@@ -177,10 +170,7 @@ def controller_of(metadata: Mapping[str, Any], location: str) -> tuple[ControlPa
         return build_controller(built.pop("plant"), profile, **built), defaults
     except ValueError as error:
         raise BenchError(
-            f"{location}: configuration",
-            str(error),
-            "settings of a controller",
-            "Replay a record of this version.",
+            f"{location}: configuration", str(error), "settings of a controller", _VERSION
         ) from None
 
 
@@ -193,12 +183,7 @@ def settings_of(metadata: Mapping[str, Any], location: str) -> tuple[dict[str, A
     """
     configuration = metadata.get("configuration")
     if not isinstance(configuration, Mapping):
-        raise BenchError(
-            f"{location}: configuration",
-            "missing",
-            "the bench's settings",
-            "Replay a record of this version.",
-        )
+        raise BenchError(f"{location}: configuration", "missing", "the bench's settings", _VERSION)
     file, faults = Path(f"{location}: configuration"), list[BenchError]()
     built, defaults = dict[str, Any](), list[str]()
     for name, kind in _SETTINGS.items():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,8 @@ from sim.faults import Fault, new_faults, own_records, revive
 from sim.plant import Plant, build_plant
 from tests.adversary.properties import Judge
 from tests.adversary.story import Setup, Step, Story, fault_of
+from tests.benchmarks.healthy_swings import counting
 
-INDEX_FROM_HANGING = (0.6, 0.4, 0.4)
-"""rad from the hanging pose to where each encoder's index is."""
 INPUTS = ("emergency_stop_clear", "guard_closed")
 PERMITS = ("lease_held", "support_ready", "supervisor_alive")
 _PRESS = 40
@@ -44,10 +42,7 @@ def _built(setup: Setup) -> tuple[Plant, ControlParameters]:
     c = load_configuration(find_configuration(Path(setup.configuration)))
     plant = replace(c.plant, pressure_sensors=setup.sensors)
     if setup.incremental:
-        marks = hanging_pose(plant) - INDEX_FROM_HANGING
-        counts = plant.encoders.counts_per_revolution
-        zeros = tuple(float(np.floor(-angle * counts / (2 * pi))) for angle in marks)
-        plant = replace(plant, encoders=replace(plant.encoders, incremental=True, zero_count=zeros))  # type: ignore[arg-type]
+        plant = counting(plant)
     lifecycle = replace(
         c.lifecycle,
         local_reset=setup.local_reset,
