@@ -30,7 +30,7 @@ def _use_cache(module: str) -> str:
     """Return the folder of the machine code of `module`, made and marked as used."""
     versions = cache_folder() / module
     # Machine code of a module outside the packages depends on the sources that the module names.
-    folder = versions / _digests().get(module, source_digest())
+    folder = versions / (_digests().get(module) or source_digest())
     mark_in_use(folder)
     prune_versions(versions)
     return str(folder)
