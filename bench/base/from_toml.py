@@ -12,8 +12,9 @@ import re
 import sys
 import tomllib
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import cache, partial
 from math import pi
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
@@ -30,6 +31,9 @@ MAX_FINITE = sys.float_info.max
 _UNIT_OF = {"deg": "deg", "hz": "Hz"}
 _SUFFIXED = re.compile(rf"(.+)_({'|'.join(SUFFIXES)})")
 _BAD = object()
+
+hints_of: Callable[[Any], dict[str, Any]] = cache(partial(get_type_hints, include_extras=True))
+"""Types of the fields of a dataclass, with their ranges."""
 
 
 class TomlValue(NamedTuple):
@@ -246,7 +250,7 @@ class Builder:
         return self._leaf(hint, node.value, node.suffix, path)
 
     def _dataclass(self, kind: Any, node: Tree, path: str, given: dict[str, Any]) -> Any:
-        hints = get_type_hints(kind, include_extras=True)
+        hints = hints_of(kind)
         prefix = f"{path}." if path else ""
         optional = {f.name for f in fields(kind) if f.metadata.get("optional")}
         keys = {

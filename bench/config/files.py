@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin
 
 import sim
 from bench.base.configuration_files import PRINT, SHIPPED, find_configuration, read_layers, shown_path
@@ -28,6 +28,7 @@ from bench.base.from_toml import (
     errors_of,
     expected,
     format_value,
+    hints_of,
     laid_over,
     location_of,
     suffixes,
@@ -147,7 +148,7 @@ def _without_name(item: Any) -> Any:
 
 
 def _defaults_of(kind: type[Any], path: str) -> dict[str, Any]:
-    tables, hints = {}, get_type_hints(kind)
+    tables, hints = {}, hints_of(kind)
     by_name = {f.name: f for f in fields(kind)}
     for name in keys_of(kind, path):
         field, hint = by_name[name], hints[name]
@@ -202,7 +203,7 @@ def changed_values(before: Configuration, after: Configuration) -> Iterator[tupl
     for old, new in zip(*whole, strict=True):
         if not is_dataclass(old.kind) or old.value == new.value:
             continue
-        hints = get_type_hints(old.kind, include_extras=True)
+        hints = hints_of(old.kind)
         for name in keys_of(old.kind, f"{old.path}."):  # type: ignore[arg-type]
             values = [plain(getattr(table.value, name), "") for table in (old, new)]
             if values[0] == values[1] or isinstance(values[0], dict):
@@ -223,7 +224,7 @@ def _tables(table: _Table) -> Iterator[_Table]:
         for name, entry in table.value.items() if is_dataclass(kind) else ():
             yield from _tables(_Table(f"{prefix}{name}", kind, entry, ""))
         return
-    hints = get_type_hints(table.kind, include_extras=True)
+    hints = hints_of(table.kind)
     for name in keys_of(table.kind, prefix):  # type: ignore[arg-type]
         hint, path = hints[name], f"{prefix}{name}"
         if is_dataclass(hint) or get_origin(hint) is dict:
@@ -240,7 +241,7 @@ def _keys(table: _Table) -> Iterator[str]:
                 key = name if name.isidentifier() else json.dumps(name)
                 yield f"{key} = {_written(value)}"
         return
-    hints, docs = get_type_hints(table.kind, include_extras=True), field_docs(table.kind)
+    hints, docs = hints_of(table.kind), field_docs(table.kind)
     named = table.path.startswith(("clubs.", "balls.", "faults."))
     for name in keys_of(table.kind, f"{table.path}."):  # type: ignore[arg-type]
         hint = hints[name]
