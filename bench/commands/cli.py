@@ -14,7 +14,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
@@ -249,6 +249,7 @@ def console(context: typer.Context) -> None:
     run_console(context.ensure_object(Session), command_line(), report_errors)
 
 
+@cache
 def command_line() -> TyperGroup:
     """Return all commands as one."""
     return cast("TyperGroup", _prepared(cast("TyperGroup", typer.main.get_command(app))))
