@@ -83,26 +83,31 @@ def parsed() -> dict[str, ast.Module]:
 
 
 @cache
-def parsed_tests() -> tuple[tuple[str, ast.Module], ...]:
-    """Return name and module of each file of the tests."""
-    return tuple((path.name, ast.parse(path.read_bytes())) for path in (PROJECT / "tests").rglob("*.py"))
+def walked() -> dict[str, list[ast.AST]]:
+    """Return all nodes of each of these modules: a walk takes as long as parsing."""
+    return {path: list(ast.walk(tree)) for path, tree in parsed().items()}
 
 
 @cache
 def texts() -> tuple[str, ...]:
     """Return all strings of more than one word: docstrings and messages."""
-    return tuple(strings_of(parsed().values()))
+    return tuple(strings_of(node for nodes in walked().values() for node in nodes))
 
 
 @cache
-def texts_of_tests() -> tuple[str, ...]:
-    """Return those of all tests but this one."""
-    return tuple(strings_of(tree for name, tree in parsed_tests() if name != Path(__file__).name))
+def names_and_texts() -> tuple[frozenset[str], tuple[str, ...]]:
+    """Return names of all functions of tests, and texts of all tests but this one; no module is kept."""
+    names, texts = set[str](), list[str]()
+    for path in (PROJECT / "tests").rglob("*.py"):
+        nodes = list(ast.walk(ast.parse(path.read_bytes())))
+        names |= {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
+        texts += strings_of(nodes) if path.name != Path(__file__).name else ()
+    return frozenset(names), tuple(texts)
 
 
-def strings_of(trees: Iterable[ast.Module]) -> Iterator[str]:
-    """Yield the strings of more than one word in `trees`."""
-    for node in (node for tree in trees for node in ast.walk(tree)):
+def strings_of(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    """Yield the strings of more than one word in `nodes`."""
+    for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
             yield node.value
 
@@ -120,11 +125,11 @@ def documents() -> tuple[str, ...]:
 def errors() -> Iterator[list[str | None]]:
     """Yield found, expected and action of each error that is made of literals; None: of something else."""
     kinds = {"BenchError"}
-    classes = [n for tree in parsed().values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
+    classes = [n for nodes in walked().values() for n in nodes if isinstance(n, ast.ClassDef)]
     while more := {c.name for c in classes if kinds & {ast.unparse(base) for base in c.bases}} - kinds:
         kinds |= more
-    for tree in parsed().values():
-        for node in ast.walk(tree):
+    for nodes in walked().values():
+        for node in nodes:
             if isinstance(node, ast.Call) and ast.unparse(node.func) in kinds and len(node.args) > 3:
                 yield [literal(argument) for argument in node.args[1:4]]
 
@@ -141,7 +146,7 @@ def test_forbidden_constructions_stay_within_ceilings(pattern: str, ceilings: tu
     compiled = re.compile(pattern, re.IGNORECASE | re.MULTILINE)
     found = [
         sum(len(compiled.findall(text)) for text in group)
-        for group in (documents(), texts(), texts_of_tests())
+        for group in (documents(), texts(), names_and_texts()[1])
     ]
     assert [count for count, most in zip(found, ceilings, strict=True) if count > most] == []
 
@@ -165,9 +170,9 @@ def test_bench_errors_have_noun_phrases_and_actions() -> None:
 
 def test_test_names_have_no_articles_or_pronouns() -> None:
     words = {"a", "an", "the", "it", "its", "nobody", "somebody", "whoever", "told", "said", "beside", "too"}
-    nodes = (node for _, tree in parsed_tests() for node in ast.walk(tree))
-    names = (node.name for node in nodes if isinstance(node, ast.FunctionDef))
-    assert [name for name in names if name.startswith("test_") and words & set(name.split("_"))] == []
+    assert [
+        name for name in names_and_texts()[0] if name.startswith("test_") and words & set(name.split("_"))
+    ] == []
 
 
 @pytest.mark.parametrize(("words", "ceiling"), CEILINGS.items())
@@ -189,8 +194,8 @@ def test_public_classes_are_defined_once() -> None:
 def test_functions_stay_within_line_limit() -> None:
     long = {
         f"{path}:{node.name}"
-        for path, tree in parsed().items()
-        for node in ast.walk(tree)
+        for path, nodes in walked().items()
+        for node in nodes
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and (node.end_lineno or 0) - node.lineno >= MAX_LINES
     }
@@ -199,8 +204,8 @@ def test_functions_stay_within_line_limit() -> None:
 
 def field_docstrings() -> Iterator[tuple[str, str]]:
     """Yield path and line, and the docstring, of each field and constant of PACKAGES."""
-    for path, tree in parsed().items():
-        for node in ast.walk(tree):
+    for path, nodes in walked().items():
+        for node in nodes:
             body = node.body if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) else []
             for assigned, after in pairwise(body):
                 match assigned, after:
@@ -220,8 +225,8 @@ def test_field_docstrings_begin_with_noun() -> None:
 
 def test_docstring_sentences_have_at_most_thirty_words() -> None:
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    nodes = (node for tree in parsed().values() for node in ast.walk(tree) if isinstance(node, documented))
-    sentences = (s for node in nodes for s in re.split(r"(?<=[.:;])\s", ast.get_docstring(node) or ""))
+    found = (node for nodes in walked().values() for node in nodes if isinstance(node, documented))
+    sentences = (s for node in found for s in re.split(r"(?<=[.:;])\s", ast.get_docstring(node) or ""))
     assert len([s for s in sentences if len(s.split()) > 30]) <= MAX_LONG_SENTENCES
 
 
@@ -229,8 +234,8 @@ def test_limits_are_named_min_or_max() -> None:
     pattern = re.compile(r"_?(LONGEST|SHORTEST|LEAST|MOST|GREATEST|SLOWEST|FASTEST)(_[A-Z_]+)?$")
     names = {
         f"{path}:{node.id}"
-        for path, tree in parsed().items()
-        for node in ast.walk(tree)
+        for path, nodes in walked().items()
+        for node in nodes
         if isinstance(node, ast.Name) and pattern.match(node.id)
     }
     assert names == set()
