@@ -12,6 +12,7 @@ supply. One that passes may still be hard to follow.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from math import hypot
 from typing import Any, NamedTuple
 
@@ -274,8 +275,8 @@ def _between_samples(position: Array, speed: Array, period: float) -> tuple[Arra
 def _greatest_visit(work: Array) -> float:
     """Return the largest sum of positive `work` (n,) in one visit, that is between samples without force."""
     most = energy = 0.0
-    for part in work:
-        energy = energy + max(float(part), 0.0) if part else 0.0
+    for part in work.tolist():
+        energy = energy + max(part, 0.0) if part else 0.0
         most = max(most, energy)
     return most
 
@@ -501,6 +502,7 @@ def _fill_and_empty(
         low[k], high[k] = emptied, filled
 
 
+@lru_cache(64)  # thousands of trials, and a plant is checked before each arming
 def steady_speed(actuator: Actuator, supply: Supply) -> float:
     """Return the speed (m/s, vane rad/s) at which a fully open valve leaves the actuator no force.
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from functools import cache
+from importlib.metadata import entry_points
 from math import cos, pi, radians, sin
 from pathlib import Path
 from typing import Any
@@ -42,6 +44,14 @@ BALL = (0.2315, -1.514)
 """Where the ball of the synthetic swing lies in the swing plane (m)."""
 
 Cycles = np.ndarray[Any, Any]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _installed_drivers() -> Iterator[None]:
+    """List the installed drivers once: each check of a configuration reads all packages for them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bench.config.rules.entry_points", cache(entry_points))
+        yield
 
 
 @pytest.fixture
