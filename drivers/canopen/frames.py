@@ -5,7 +5,6 @@ The DBC file is for candump, SavvyCAN, cantools and the like.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -24,9 +23,8 @@ MAX_ECHO_DELAY = 0.005
 MAX_LOAD = 0.75
 """Maximum bus load (share); above it frames of low priority wait too long."""
 
-COMMAND = struct.Struct("=IB3x3hBx")
-"""The command as a whole frame (`drivers.can_bus.FRAME`): three valves, then the outputs."""
 COMMAND_LENGTH = 7
+"""Bytes of the command: three valves, then the outputs."""
 POSITION_LENGTH = 4
 INPUTS_LENGTH = 1
 ANALOGUE_IN_ONE = 4

@@ -1,10 +1,11 @@
-"""A tick of the CANopen driver on a raw SocketCAN socket, in compiled code: no object of Python is made.
+"""State of the CANopen driver, its usual frames, and its tick on a raw SocketCAN socket, in compiled code.
 
-Frames are received in batches (`recvmmsg`) into one block of memory, parsed there, and packed there. The rest
-is left to `drivers.canopen.driver`: error frames, emergencies, SDO answers, unknown identifiers, wrong
-lengths, frames cut short, nodes that are not operational, silence, failures of the socket. The native
-function then stops in front of that frame or failure and declines. The driver continues from exactly
-that state (`NativeState`), including frames already received, and hands it back at the end of its tick.
+`CanopenDriver` and the native functions work on one record, LINK_STATE, with the same functions. On the
+socket, frames are received in batches (`recvmmsg`) into one block of memory, parsed there, and packed there:
+no object of Python is made. The rest is left to the driver: error frames, emergencies, SDO answers, unknown
+identifiers, wrong lengths, frames cut short, nodes that are not operational, silence, failures of the socket.
+The native function then stops in front of that frame or failure and declines. The driver continues from
+there, including frames already received, until the end of its tick.
 """
 
 from __future__ import annotations
@@ -14,22 +15,19 @@ import math
 import os
 import struct
 import sys
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numba import carray, types
 
-from drivers.base import ABSENT, INVALID
+from drivers.base import ABSENT, INVALID, SPOOL_RANGE
 from drivers.base.clocks import MAX_READ
-from drivers.base.compiled import IS_PLAIN, compiled, compiled_with_arrays, fields, new_record, numbers
+from drivers.base.compiled import compiled, compiled_with_arrays, fields, new_record
 from drivers.base.native import (
     CLOCK_REALTIME,
     DECLINED,
     DONE,
     OPERATIONAL,
-    NativeCall,
-    NativeCalls,
     clock_now,
     compiled_call,
     copy_bytes,
@@ -37,7 +35,7 @@ from drivers.base.native import (
     monotonic_now,
     pointer,
 )
-from drivers.base.records import COMMAND, READINGS, unpack_command
+from drivers.base.records import COMMAND, READINGS
 from drivers.can_bus import FRAME
 from drivers.canopen.frames import (
     ANALOGUE_IN_ONE,
@@ -46,13 +44,17 @@ from drivers.canopen.frames import (
     INPUTS_LENGTH,
     MAX_ECHO_DELAY,
     POSITION_LENGTH,
+    RPDO1,
+    SYNC,
     TPDO1,
     TPDO2,
     TPDO3,
     TPDO4,
     analogue_groups,
+    beat_period,
+    frame,
 )
-from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.settings import FULL_SCALE, CanopenSettings
 
 IS_SUPPORTED = sys.platform == "linux" and sys.byteorder == "little" and struct.calcsize("P") == 8
 """Whether the structures of the kernel have the layout that is compiled in."""
@@ -63,7 +65,13 @@ BATCH = 16
 MAX_WAITING = 64
 """Max frames taken before the SYNC."""
 ALL = 0b111
+"""Bit mask: samples of all encoders are expected."""
 OPERATIONAL_STATE = 5
+"""State in a heartbeat."""
+MISSED = 3.0
+"""Periods without a frame after which a node is lost."""
+_MAX_STEP = 5.0
+"""Maximum loop periods that one tick adds to the time without frames: a stalled loop received none."""
 NOWHERE = 12
 """Index of an analogue input that is not fitted."""
 
@@ -90,9 +98,11 @@ _SECOND = 1_000_000_000
 
 LINK_STATE = np.dtype(
     [
+        # Who continues, and where
         *fields("i8", "leads waiting"),
         ("end", "f8"),
         *fields("i8", "at count receive_error send_error"),
+        # State
         *fields("f8", "time listened sync_time"),
         *fields("i8", "awaited came in_time"),
         *fields("i8", "owed counts", (3,)),
@@ -103,6 +113,7 @@ LINK_STATE = np.dtype(
         ("analogue", "f8", (13,)),
         ("analogue_received", "f8", (3,)),
         ("last_heard", "f8", (4,)),
+        ("states", "i8", (4,)),
         *fields("f8", "beaten echoed"),
         ("ahead", "i8"),
         ("applied", COMMAND),
@@ -115,9 +126,7 @@ LINK_STATE = np.dtype(
         ("supply", "i8"),
         ("chambers", "i8", (6,)),
         ("spools", "i8", (3,)),
-        ("input_bits", "i8", (5,)),
-        ("vent_bits", "i8", (2,)),
-        ("shut_off_bit", "i8"),
+        ("input_bits", "i8", (8,)),
         ("output_bits", "i8", (5,)),
         ("valve_centre", "f8", (3,)),
         ("valve_span", "f8"),
@@ -125,7 +134,6 @@ LINK_STATE = np.dtype(
         ("believable", "f8", (3, 2)),
         *fields("f8", "max_step sync_timeout beat_period max_silence max_input_gap"),
         ("max_gaps", "f8", (3,)),
-        ("command_identifier", "i8"),
         # Memory for the kernel
         *fields("i8", "sync beat command", (2,)),
         ("frames", "i8", (2 * BATCH,)),
@@ -137,10 +145,93 @@ LINK_STATE = np.dtype(
     ],
     align=True,
 )
-"""All that a tick works on. `leads`: compiled code has the newest state, not Python. `waiting`: the SYNC was
-sent, its answers are waited for until `end` (s). The frames from `at` to `count` of the batch are still to be
-taken. `receive_error` and `send_error` (errno) are for Python to act on. The other names are
-those in `CanopenDriver`."""
+"""All that a tick works on; `new_state` makes one.
+
+Who continues: `leads`: compiled code may run the tick, not only Python. `waiting`: the SYNC was sent, its
+answers are waited for until `end` (s). The frames from `at` to `count` of the batch are still to be taken.
+`receive_error` and `send_error` (errno) are for Python to act on.
+
+State: `time` of the tick (s); `listened`, time for which the loop has received frames (s), the clock for
+detecting lost nodes: `inputs_received`, `analogue_received` (by group) and `last_heard` (by node) are on it.
+`sync_time` (s) of the last SYNC; encoders (bits) that have not answered it (`awaited`) and that answered
+since (`came`); `in_time`: answers received now belong to it; `owed`: late answers to earlier SYNCs that each
+encoder may still send. `counts`, `sampled` (s), `seen` and `faulty` by encoder. `inputs` are the bits of the
+valve node; `analogue` the values of its inputs by group, the last one ABSENT. NMT `states` of the nodes, -1
+before the first heartbeat; `beaten`: time of the own heartbeat (s); `echoed`, `ahead`: `SocketcanLink.echoed`
+and its clock; `applied`: the last command sent; `counters`: COUNTED, added to those of the driver when read.
+
+Settings: values by group of analogue inputs (two of pressures, one of spools) are `group_sizes`, `zeros` (at
+count 0), `scales` (per count), `believable` and `max_gaps` (s); `supply`, `chambers` and `spools` are indices
+into `analogue`. An input's bit is 0 if it is not fitted."""
+
+
+def new_state(
+    settings: CanopenSettings, period: float, watchdog: float, counts_per_revolution: int
+) -> np.ndarray[Any, Any]:
+    """Return the LINK_STATE of a driver before its first frame; its address must not change."""
+    state, node = new_record(LINK_STATE), settings.valve_node
+    at, groups = analogue_places(settings), analogue_groups(settings)
+    scale, slow = FULL_SCALE / node.full_scale, MISSED * settings.pressure_ticks * period
+    pressure, spool = node.pressure_at_zero, node.spool_at_zero
+    per_count = (node.pressure_at_full_scale - pressure) / FULL_SCALE
+    believable = node.lowest_pressure, node.highest_pressure
+    for name, value in {
+        "time": -math.inf,
+        "sync_time": ABSENT,
+        "sampled": ABSENT,
+        "analogue": INVALID,
+        "analogue_received": -math.inf,
+        "states": -1,
+        "beaten": -math.inf,
+        "nodes": (*settings.encoders.nodes, node.node),
+        "counts_per_revolution": counts_per_revolution,
+        "range": counts_per_revolution,
+        "supply": at[node.supply_pressure],
+        "chambers": [at[channel] for channel in node.chamber_pressures],
+        "spools": [at[channel] for channel in node.spool_positions],
+        "input_bits": [1 << bit if bit >= 0 else 0 for bit in vars(node.inputs).values()],
+        "output_bits": [1 << bit for bit in vars(node.outputs).values()],
+        "valve_centre": [centre * scale + 0.5 for centre in node.centre],
+        "valve_span": node.span * scale,
+        "zeros": (pressure, pressure, spool),
+        "scales": (per_count, per_count, (node.spool_at_full_scale - spool) / FULL_SCALE),
+        "believable": (believable, believable, SPOOL_RANGE),
+        "max_step": _MAX_STEP * period,
+        "sync_timeout": settings.sync_timeout,
+        "beat_period": beat_period(watchdog),
+        "max_silence": MISSED * settings.heartbeat,
+        "max_input_gap": MISSED * settings.interlock_period,
+        "max_gaps": (slow, slow, MISSED * period),
+        "sync": words_of(frame(SYNC)),
+        "beat": words_of(frame(HEARTBEAT + settings.master, bytes([OPERATIONAL_STATE]))),
+    }.items():
+        state[name] = value
+    state["analogue"][0, NOWHERE] = ABSENT
+    state["applied"]["guard_lock"] = True
+    for group in groups:
+        state["group_sizes"][0, group.number - 1] = len(group.channels)
+    prepare(state)
+    return state
+
+
+def analogue_places(settings: CanopenSettings) -> dict[int, int]:
+    """Return the indices into `analogue` by sub-index of 6401h, 0 for what is not fitted."""
+    return {0: NOWHERE} | {
+        channel: ANALOGUE_IN_ONE * (group.number - 1) + k
+        for group in analogue_groups(settings)
+        for k, channel in enumerate(group.channels)
+    }
+
+
+def warm_up(state: np.ndarray[Any, Any], readings: np.ndarray[Any, Any]) -> None:
+    """Compile what the driver calls: during the startup it would hold the tick, or trip a watchdog."""
+    scratch = state.copy()
+    begin_sync(scratch, 0.0, 0.0)
+    take_frame(scratch, 0, 0)
+    correct_sync_time(scratch, 0.0)
+    note_missing(scratch)
+    drop_overdue_analogue(scratch)
+    fill(scratch, readings, 0.0, False)
 
 
 def _offset(name: str) -> int:
@@ -257,10 +348,44 @@ def _note_echo(states: Any, block: int, k: int) -> None:
 
 
 @compiled
+def note_missing(states: Any) -> None:
+    """Count the answers missing before the next SYNC; they may still arrive late.
+
+    A late answer must not count as the answer to a later SYNC, so each encoder's outstanding answers are
+    counted. Once it has answered again, its other outstanding answers are lost.
+    """
+    s = states[0]
+    for joint in range(3):
+        if s.awaited >> joint & 1:
+            s.counters[_MISSING] += 1
+            s.owed[joint] = 0 if s.came >> joint & 1 else s.owed[joint] + 1
+    s.awaited = 0
+
+
+@compiled
+def begin_sync(states: Any, sent: float, now: float) -> None:
+    """Expect the answers to the SYNC that was `sent` (s), from `now` (s) for its time-out."""
+    s = states[0]
+    s.counters[_SYNCS] += 1
+    s.sync_time, s.awaited, s.came, s.in_time = sent, ALL, 0, 1
+    s.end, s.waiting = now + s.sync_timeout, 1
+
+
+@compiled
+def correct_sync_time(states: Any, on_wire: float) -> None:
+    """Stamp the last SYNC and its samples with the time when it was `on_wire` (s)."""
+    s = states[0]
+    sent, s.sync_time = s.sync_time, on_wire
+    for joint in range(3):
+        if s.sampled[joint] == sent:
+            s.sampled[joint] = on_wire
+
+
+@compiled
 def _take_position(states: Any, joint: int, position: int) -> None:
     s, bit = states[0], 1 << joint
     s.came |= bit
-    if s.owed[joint] != 0:
+    if s.owed[joint] != 0:  # answers keep their order: this one belongs to an earlier SYNC
         s.owed[joint] -= 1
         s.counters[_LATE] += 1
         return
@@ -269,8 +394,18 @@ def _take_position(states: Any, joint: int, position: int) -> None:
         return
     s.awaited &= ~bit
     s.counters[_POSITIONS if s.in_time != 0 else _LATE] += 1
+    # A count outside the range is passed on: the bench rejects it as implausible.
     s.counts[joint] = position % s.counts_per_revolution if position < s.range[joint] else position
     s.sampled[joint], s.seen[joint] = s.sync_time, 1
+
+
+@compiled
+def set_analogue(states: Any, place: int, count: int) -> None:
+    """Set the analogue value at `place` from its `count`; INVALID if it is not believable."""
+    s, group = states[0], place // ANALOGUE_IN_ONE
+    value = s.zeros[group] + s.scales[group] * count
+    believed = s.believable[group, 0] <= value <= s.believable[group, 1]
+    s.analogue[place] = value if believed else INVALID
 
 
 @compiled
@@ -280,19 +415,14 @@ def _take_analogue(states: Any, group: int, data: int) -> None:
     s.analogue_received[group] = s.listened
     for k in range(s.group_sizes[group]):
         count = data >> 16 * k & 0xFFFF
-        value = s.zeros[group] + s.scales[group] * (count - (count >> 15 << 16))
-        believed = s.believable[group, 0] <= value <= s.believable[group, 1]
-        s.analogue[4 * group + k] = value if believed else INVALID
+        set_analogue(states, ANALOGUE_IN_ONE * group + k, count - (count >> 15 << 16))
 
 
 @compiled
-def _take(states: Any, k: int) -> bool:
-    """Process frame `k` of the batch; False, and nothing done, where Python must."""
+def take_frame(states: Any, first: int, data: int) -> bool:
+    """Process a frame of two words (FRAME); False, and nothing done, where Python must."""
     s = states[0]
-    if s.headers[_HEADER_WORDS * k + 7] & _SIZE_MASK != FRAME_SIZE:
-        return False
-    first, data = s.frames[2 * k], s.frames[2 * k + 1]
-    identifier, length = first & 0xFFFFFFFF, first >> 32 & 0xFF
+    identifier, length = first & 0xFFFFFFFF, min(first >> 32 & 0xFF, 8)
     valve_node = s.nodes[3]
     for joint in range(3):
         if identifier == TPDO2 + s.nodes[joint] and length == POSITION_LENGTH:
@@ -315,9 +445,18 @@ def _take(states: Any, k: int) -> bool:
         if identifier == HEARTBEAT + s.nodes[node] and length == 1 and data & 0x7F == OPERATIONAL_STATE:
             s.counters[_FRAMES] += 1
             s.counters[_HEARTBEATS] += 1
-            s.last_heard[node] = s.listened
+            s.last_heard[node], s.states[node] = s.listened, OPERATIONAL_STATE
             return True
     return False
+
+
+@compiled
+def _take(states: Any, k: int) -> bool:
+    """Process frame `k` of the batch; False, and nothing done, where Python must."""
+    s = states[0]
+    if s.headers[_HEADER_WORDS * k + 7] & _SIZE_MASK != FRAME_SIZE:
+        return False
+    return bool(take_frame(states, s.frames[2 * k], s.frames[2 * k + 1]))
 
 
 @compiled
@@ -361,18 +500,12 @@ def _drain(states: Any, block: int) -> bool:
 def _synchronise(states: Any, block: int) -> bool:
     """Send the SYNC; False where Python must continue."""
     s = states[0]
-    for joint in range(3):
-        if s.awaited >> joint & 1:
-            s.counters[_MISSING] += 1
-            s.owed[joint] = 0 if s.came >> joint & 1 else s.owed[joint] + 1
-    s.awaited = 0
+    note_missing(states)
     sent = monotonic_now(block + _AT_CLOCK) / 1e9
     if _send(s.descriptor, block + _AT_SYNC, FRAME_SIZE, _DONT_WAIT) < 0:
         s.send_error = _last_error()
         return False
-    s.counters[_SYNCS] += 1
-    s.sync_time, s.awaited, s.came, s.in_time = sent, ALL, 0, 1
-    s.end, s.waiting = monotonic_now(block + _AT_CLOCK) / 1e9 + s.sync_timeout, 1
+    begin_sync(states, sent, monotonic_now(block + _AT_CLOCK) / 1e9)
     return True
 
 
@@ -390,35 +523,42 @@ def _await(states: Any, block: int) -> bool:
             if n == 0:
                 break
     sent = s.sync_time
-    if sent <= s.echoed < sent + MAX_ECHO_DELAY and s.echoed != sent:
-        s.sync_time = s.echoed
-        for joint in range(3):
-            if s.sampled[joint] == sent:
-                s.sampled[joint] = s.echoed
+    if sent <= s.echoed < sent + MAX_ECHO_DELAY:
+        correct_sync_time(states, s.echoed)
     return True
 
 
 @compiled
-def _supervise(states: Any) -> bool:
-    """Invalidate overdue analogue inputs; return False if a node or the interlocks are overdue."""
+def _is_overdue(states: Any) -> bool:
+    """Return whether a node or the interlocks are overdue."""
     s = states[0]
-    now, silent = s.listened, s.last_heard[0]
+    silent = s.last_heard[0]
     for node in range(1, 4):
         silent = min(silent, s.last_heard[node])
-    if now - silent > s.max_silence or now - s.inputs_received > s.max_input_gap:
-        return False
-    for group in range(3):
-        received = s.analogue_received[group]
-        if now - received > s.max_gaps[group] and received > -np.inf:
-            s.analogue_received[group] = -np.inf
-            for k in range(s.group_sizes[group]):
-                s.analogue[4 * group + k] = INVALID
-    return True
+    return bool(s.listened - silent > s.max_silence or s.listened - s.inputs_received > s.max_input_gap)
 
 
 @compiled
-def _fill(states: Any, readings: Any, time: float) -> None:
-    """Write the READINGS at `time` (s)."""
+def drop_overdue_analogue(states: Any) -> None:
+    """Invalidate overdue analogue inputs."""
+    s = states[0]
+    for group in range(3):
+        received = s.analogue_received[group]
+        if s.listened - received > s.max_gaps[group] and received > -np.inf:
+            s.analogue_received[group] = -np.inf
+            for k in range(s.group_sizes[group]):
+                s.analogue[ANALOGUE_IN_ONE * group + k] = INVALID
+
+
+@compiled
+def _position_switch(inputs: int, bit: int, has_fault: bool) -> float:
+    """Return the state of a valve's position switch with the input `bit`."""
+    return ABSENT if bit == 0 else INVALID if has_fault else 1.0 if inputs & bit != 0 else 0.0
+
+
+@compiled
+def fill(states: Any, readings: Any, time: float, has_fault: bool) -> None:
+    """Write the READINGS at `time` (s); after a fault inputs keep their last values."""
     s, out = states[0], readings[0]
     out.time = time
     for i in range(3):
@@ -437,10 +577,8 @@ def _fill(states: Any, readings: Any, time: float) -> None:
     for i in range(3):
         out.spool_position[i] = s.analogue[s.spools[i]]
     for i in range(2):
-        bit = s.vent_bits[i]
-        out.vent_open[i] = ABSENT if bit == 0 else 1.0 if s.inputs & bit != 0 else 0.0
-    bit = s.shut_off_bit
-    out.shut_off_open = ABSENT if bit == 0 else 1.0 if s.inputs & bit != 0 else 0.0
+        out.vent_open[i] = _position_switch(s.inputs, s.input_bits[5 + i], has_fault)
+    out.shut_off_open = _position_switch(s.inputs, s.input_bits[7], has_fault)
 
 
 @compiled_call
@@ -454,16 +592,17 @@ def read_native(block: int, record: int, _: int, time: float) -> int:
     s.time, s.in_time = time, 0
     if not (_drain(states, block) and _synchronise(states, block)):
         return DECLINED
-    if not (_await(states, block) and _supervise(states)):
+    if not _await(states, block) or _is_overdue(states):
         return DECLINED
     s.waiting = 0
-    _fill(states, carray(pointer(record), 1, READINGS), time)
+    drop_overdue_analogue(states)
+    fill(states, carray(pointer(record), 1, READINGS), time, False)
     return DONE | OPERATIONAL
 
 
 @compiled
-def _pack(states: Any, command: Any) -> bool:
-    """Pack the frame of `command`, already limited; False if a value exceeds its field."""
+def pack(states: Any, command: Any) -> None:
+    """Pack the frame of `command`, already limited; absolute encoders have no index to search."""
     s, c = states[0], command[0]
     data = (
         (s.output_bits[0] if c.supply_enable else 0)
@@ -472,15 +611,9 @@ def _pack(states: Any, command: Any) -> bool:
         | (s.output_bits[3] if c.beacon else 0)
         | (s.output_bits[4] if c.tee else 0)
     )
-    if data > 0xFF:
-        return False
     for i in range(2, -1, -1):
-        count = int(s.valve_centre[i] + s.valve_span * c.valve[i])
-        if not -0x8000 <= count <= 0x7FFF:
-            return False
-        data = data << 16 | count & 0xFFFF
-    s.command[0], s.command[1] = s.command_identifier | COMMAND_LENGTH << 32, data
-    return True
+        data = data << 16 | int(s.valve_centre[i] + s.valve_span * c.valve[i])
+    s.command[0], s.command[1] = RPDO1 + s.nodes[3] | COMMAND_LENGTH << 32, data
 
 
 @compiled_call
@@ -492,8 +625,7 @@ def write_native(block: int, command: int, applied: int, time: float) -> int:
     if s.leads == 0 or s.waiting != 0:
         return DECLINED
     limit_command(carray(pointer(command), 1, COMMAND), limited)
-    if not _pack(states, limited):
-        return DECLINED
+    pack(states, limited)
     if s.time - s.beaten >= s.beat_period:
         if _send(s.descriptor, block + _AT_BEAT, FRAME_SIZE, _DONT_WAIT) < 0:
             s.send_error = _last_error()
@@ -504,95 +636,3 @@ def write_native(block: int, command: int, applied: int, time: float) -> int:
         return DECLINED
     copy_bytes(applied, block + _AT_APPLIED, _COMMAND_SIZE)
     return DONE
-
-
-SHARED = (
-    *("time", "listened", "sync_time", "awaited", "came", "in_time", "owed", "counts", "sampled", "seen"),
-    *("faulty", "inputs", "inputs_received", "last_heard", "beaten"),
-)
-"""Fields that compiled code changes; attributes of `CanopenDriver` of the same names, with an underscore."""
-FIXED = (
-    *("nodes", "counts_per_revolution", "range", "input_bits", "vent_bits", "shut_off_bit", "output_bits"),
-    *(
-        "valve_centre",
-        "valve_span",
-        "zeros",
-        "scales",
-        "believable",
-        "max_step",
-        "beat_period",
-        "max_silence",
-    ),
-    *("max_input_gap", "max_gaps", "command_identifier"),
-)
-"""Fields that it only reads."""
-LOADED = (*SHARED, "waiting", "end", "receive_error", "send_error", "echoed", "ahead")
-
-
-class NativeState:
-    """The record of a driver's compiled ticks."""
-
-    def __init__(self, settings: CanopenSettings) -> None:
-        self._settings = settings
-        self._state = new_record(LINK_STATE)
-        self._groups = analogue_groups(settings)
-        self._location = {0: NOWHERE} | {
-            channel: ANALOGUE_IN_ONE * (group.number - 1) + k
-            for group in self._groups
-            for k, channel in enumerate(group.channels)
-        }
-        self.leads = numbers(self._state["leads"])
-        """Whether compiled code has the newest state (one number)."""
-        self.is_wanted = False
-        """Whether the native functions were requested."""
-
-    def calls(self) -> NativeCalls:
-        """Return the native functions; none on a system with another layout of kernel structures."""
-        if not IS_SUPPORTED or IS_PLAIN:
-            return NativeCalls()
-        self.is_wanted = True
-        block = self._state.ctypes.data
-        return NativeCalls(NativeCall(read_native.address, block), NativeCall(write_native.address, block))
-
-    def store(self, values: Mapping[str, Any], analogue: Mapping[int, float], received: list[float]) -> None:
-        """Take the state, whose ticks are compiled from now on.
-
-        `values` are fields of LINK_STATE; `analogue` are values keyed by analogue input, 0 where none is
-        fitted, and `received` is when each of their groups came (s).
-        """
-        state, location, node = self._state[0], self._location, self._settings.valve_node
-        for name in ("waiting", "receive_error", "send_error", "at", "count"):
-            state[name] = 0
-        for name, value in values.items():
-            state[name] = value
-        for channel, k in location.items():
-            state["analogue"][k] = analogue[channel]
-        state["supply"] = location[node.supply_pressure]
-        state["chambers"] = [location[channel] for channel in node.chamber_pressures]
-        state["spools"] = [location[channel] for channel in node.spool_positions]
-        state["group_sizes"] = 0
-        for group, time in zip(self._groups, received, strict=True):
-            slot = group.number - 1
-            state["group_sizes"][slot], state["analogue_received"][slot] = len(group.channels), time
-        prepare(self._state)
-        self.leads[0] = True
-
-    def load(self) -> dict[str, Any]:
-        """Return the state in plain values and let Python lead.
-
-        `analogue` is keyed by analogue input, `counters` by name, as increments; `pending`
-        are the frames received and not taken.
-        """
-        state = self._state[0]
-        self.leads[0] = False
-        values: dict[str, Any] = {name: state[name].tolist() for name in LOADED}
-        for name in ("seen", "faulty"):
-            values[name] = [one != 0 for one in values[name]]
-        found, received = state["analogue"].tolist(), state["analogue_received"].tolist()
-        values["analogue"] = {channel: found[k] for channel, k in self._location.items()}
-        values["analogue_received"] = [received[group.number - 1] for group in self._groups]
-        values["counters"] = dict(zip(COUNTED, state["counters"].tolist(), strict=True))
-        state["counters"] = 0
-        values["applied"] = unpack_command(self._state["applied"])
-        values["pending"] = left_over(self._state)
-        return values

@@ -89,8 +89,8 @@ class Started(CanopenDriver):
     """The driver with nodes that need no setting up."""
 
     def _begin(self) -> None:
-        self._listening, self._states = True, [5] * 4
-        self._analogue_received = [0.0] * len(self._groups)
+        self._listening = True
+        self._state["analogue_received"] = 0.0
 
 
 def call(native: NativeCall, first: np.ndarray, second: np.ndarray | None, now: float) -> int:

@@ -117,8 +117,6 @@ def test_native_tick_handles_usual_ticks(rigs: Callable[..., Rig]) -> None:
     assert rig.declined == [(0, "read"), (0, "write")]
     assert rig.driver.counters.positions == 150
     assert rig.driver.applied == rig.applied[-1]
-    rig.run(2)
-    assert rig.declined[2:] == [(50, "read"), (50, "write")]  # the counters were asked for
 
 
 @pytest.mark.parametrize(
