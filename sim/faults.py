@@ -300,7 +300,7 @@ loop are up in this tick; the link's delay (ticks) and the newest of its `late` 
 _OFF, _STUCK, _GARBAGE, _OFFSET, _SCALE, _SLOW, _DELAYED, _INTERMITTENT, _DRIFTING, _LEAKING, _SWAPPED = (
     range(11)
 )
-_ENCODER, _VALVE = 0, 3
+_VALVE = 3
 _SUPPLY, _VENTS, _E_STOP, _GUARD_CLOSED, _GUARD_LOCKED, _LOCAL_RESET, _BALL, _TEE, _SUPPLY_SENSOR = range(
     6, 15
 )
@@ -462,37 +462,40 @@ def _wrong(
         return true
     if not m.begun:
         m.begun, m.held, m.filtered = True, true, true
+    wrong = true
     if f.kind == _STUCK:
-        held: float = m.held if np.isnan(f.value) else f.value
-        return held
-    if f.kind == _GARBAGE:
-        anything: float = low + (high - low) * uniform(m)
-        return anything
-    if f.kind == _OFFSET:
-        off: float = true + f.value
-        return off
-    if f.kind == _SCALE:
+        wrong = m.held if np.isnan(f.value) else f.value
+    elif f.kind == _GARBAGE:
+        wrong = low + (high - low) * uniform(m)
+    elif f.kind == _OFFSET:
+        wrong = true + f.value
+    elif f.kind == _SCALE:
         about = m.held if about_onset else 0.0
-        scaled: float = about + f.value * (true - about)
-        return scaled
-    if f.kind == _SLOW:
+        wrong = about + f.value * (true - about)
+    elif f.kind == _SLOW:
         m.filtered += (true - m.filtered) * tick / (f.value + tick)
-        filtered: float = m.filtered
-        return filtered
-    if f.kind == _DELAYED:
+        wrong = m.filtered
+    elif f.kind == _DELAYED:
         back = min(int(f.value / tick + 0.5), m.filled - 1)
-        late: float = m.ring[(m.ring_index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)]
-        return late
-    if f.kind == _DRIFTING:
-        drifted: float = true + f.value * (now - m.since)
-        return drifted
-    return true
+        wrong = m.ring[(m.ring_index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)]
+    elif f.kind == _DRIFTING:
+        wrong = true + f.value * (now - m.since)
+    return wrong
 
 
 @compiled
 def _is_out(f: Any, m: Any) -> bool:
     """Return whether the signal is missing in this tick."""
     return bool(m.active and (f.kind == _OFF or (f.kind == _INTERMITTENT and uniform(m) < f.value)))
+
+
+@compiled
+def _measured(f: Any, m: Any, true: float, low: float, high: float, now: float, tick: float) -> float:
+    """Return the faulty reading of a sensor; only a fitted one can fail."""
+    wrong = _wrong(f, m, true, low, high, False, now, tick)
+    if not np.isfinite(true):
+        return true
+    return INVALID if _is_out(f, m) else wrong
 
 
 @compiled
@@ -581,15 +584,12 @@ def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
         elif f.signal == _BALL:
             r.ball_present = _switched(f, m, r.ball_present, now, p.tick)
         elif f.signal == _SUPPLY_SENSOR:
-            wrong = _wrong(f, m, r.supply_pressure, 0.0, 2.0 * p.regulated, False, now, p.tick)
-            # Only a fitted sensor can fail; the reading of a missing one does not change.
-            if np.isfinite(r.supply_pressure):
-                r.supply_pressure = INVALID if _is_out(f, m) else wrong
+            r.supply_pressure = _measured(f, m, r.supply_pressure, 0.0, 2.0 * p.regulated, now, p.tick)
         elif _CHAMBER <= f.signal < _CHAMBER + 6:
             i = f.signal - _CHAMBER
-            wrong = _wrong(f, m, r.chamber_pressure[i], 0.0, 2.0 * p.regulated, False, now, p.tick)
-            if np.isfinite(r.chamber_pressure[i]):
-                r.chamber_pressure[i] = INVALID if _is_out(f, m) else wrong
+            r.chamber_pressure[i] = _measured(
+                f, m, r.chamber_pressure[i], 0.0, 2.0 * p.regulated, now, p.tick
+            )
         elif _VENT_FEEDBACK <= f.signal < _VENT_FEEDBACK + 2:
             i = f.signal - _VENT_FEEDBACK
             if np.isfinite(r.vent_open[i]):
@@ -598,9 +598,7 @@ def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
             r.shut_off_open = 1.0 if _switched(f, m, r.shut_off_open > 0.5, now, p.tick) else 0.0
         elif f.signal >= _SPOOL:
             i = f.signal - _SPOOL
-            wrong = _wrong(f, m, r.spool_position[i], -1.0, 1.0, False, now, p.tick)
-            if np.isfinite(r.spool_position[i]):
-                r.spool_position[i] = INVALID if _is_out(f, m) else wrong
+            r.spool_position[i] = _measured(f, m, r.spool_position[i], -1.0, 1.0, now, p.tick)
 
 
 @compiled

@@ -22,7 +22,7 @@ from drivers.base.compiled import compiled, compiled_with_arrays, fields, new_re
 from drivers.base.ranges import Range, check_ranges
 from sim.ball import Air, Ball
 from sim.ground import Turf, bounce, roll
-from sim.vectors import Vector, added, norm, unit
+from sim.vectors import Vector, across_flight, added, norm, scaled, unit
 
 Array: TypeAlias = np.ndarray[Any, Any]
 
@@ -376,13 +376,10 @@ def _event_time(state: State, axis: Vector, h: float, settings: _Settings, index
 @compiled
 def _recorded(path: Array, row: int, t: float, x: float, y: float, z: float) -> int:
     """Write (t, x, y, z) where the path has room; return the next row."""
-    if row < path.shape[0]:
-        path[row, 0] = t
-        path[row, 1] = x
-        path[row, 2] = y
-        path[row, 3] = z
-        return row + 1
-    return row
+    if row >= path.shape[0]:
+        return row
+    path[row, 0], path[row, 1], path[row, 2], path[row, 3] = t, x, y, z
+    return row + 1
 
 
 @compiled
@@ -418,15 +415,8 @@ def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
     s, r = settings, result[0]
     speed, elevation, azimuth, omega, tilt = launch[0], launch[1], launch[2], launch[3], launch[4]
     axis = _spin_axis(elevation, azimuth, tilt)
-    state = (
-        0.0,
-        0.0,
-        0.0,
-        speed * cos(elevation) * cos(azimuth),
-        speed * sin(elevation),
-        speed * cos(elevation) * sin(azimuth),
-        omega,
-    )
+    vx, vy = speed * cos(elevation) * cos(azimuth), speed * sin(elevation)
+    state = (0.0, 0.0, 0.0, vx, vy, speed * cos(elevation) * sin(azimuth), omega)
     t = 0.0
     row = _recorded(path, 0, t, state[0], state[1], state[2])
     r.apex = 0.0
@@ -444,7 +434,7 @@ def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
     r.time = t
 
     velocity = (state[3], state[4], state[5])
-    spin = (state[6] * axis[0], state[6] * axis[1], state[6] * axis[2])
+    spin = scaled(state[6], axis)
     for _ in range(_MAX_BOUNCES):
         if velocity[1] < 0.0:
             velocity, spin = bounce(
@@ -456,7 +446,7 @@ def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
         state = (state[0], 0.0, state[2], velocity[0], velocity[1], velocity[2], norm(spin))
         state, t, _, row = _airborne(state, axis, t, settings, path, row)
         velocity = (state[3], state[4], state[5])
-        spin = (state[6] * axis[0], state[6] * axis[1], state[6] * axis[2])
+        spin = scaled(state[6], axis)
     run_x, run_z, duration = roll(velocity, spin, s.radius, s.turf_resistance, GRAVITY)
     row = _roll_recorded(path, row, t, state, run_x, run_z, duration)
     r.total = hypot(state[0] + run_x, state[2] + run_z)
@@ -483,9 +473,8 @@ def _spin_axis(elevation: float, azimuth: float, tilt: float) -> Vector:
 
     A positive tilt lowers the axis' right end, which bends the flight to the right.
     """
-    right = (-sin(azimuth), 0.0, cos(azimuth))
-    up = (-sin(elevation) * cos(azimuth), cos(elevation), -sin(elevation) * sin(azimuth))
-    return added((cos(tilt) * right[0], cos(tilt) * right[1], cos(tilt) * right[2]), -sin(tilt), up)
+    right, up = across_flight(elevation, azimuth)
+    return added(scaled(cos(tilt), right), -sin(tilt), up)
 
 
 @compiled_with_arrays

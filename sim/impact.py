@@ -41,7 +41,7 @@ from drivers.base.compiled import compiled, copy_fields, fields, new_record
 from sim.ball import Ball
 from sim.contact import contact_impulse
 from sim.robot import Club
-from sim.vectors import Vector, added, cross, dot, norm, scaled, unit
+from sim.vectors import Vector, across_flight, added, cross, dot, norm, scaled, unit
 
 Array: TypeAlias = np.ndarray[Any, Any]
 Source = Literal["simulated", "encoders+model", "launch monitor"]
@@ -220,25 +220,17 @@ def collide(
     normal: Vector,
     arm: Vector,
     axes: Axes,
-    head_mass: float,
-    head_inertia: Vector,
-    ball_mass: float,
-    ball_radius: float,
-    ball_inertia: float,
-    restitution: float,
-    friction: float,
-    tangential_factor: float,
-    restitution_slope: float = 0.0,
-    tangential_stiffness: float = 0.0,
-    tangential_loss: float = 0.0,
+    parameters: Array,
 ) -> tuple[Vector, Vector, Vector, Vector, Vector]:
     """Return (ball velocity, ball spin, impulse on the ball, head velocity, head spin) after the contact.
 
-    The head is free: `head_velocity` (m/s) of its centre of mass, `head_spin` (rad/s), `head_inertia`
-    (kg m2) about `axes`; the ball rests. `normal` points out of the face at the contact, `arm` (m) from
-    the head's centre of mass to the contact. All vectors in one frame. Impulse in N s; zero when the face
-    does not approach the ball.
+    The head is free: `head_velocity` (m/s) of its centre of mass, `head_spin` (rad/s), its inertia about
+    `axes`; the ball rests. `normal` points out of the face at the contact, `arm` (m) from the head's centre
+    of mass to the contact. All vectors in one frame. `parameters` are IMPACT. Impulse in N s; zero when the
+    face does not approach the ball.
     """
+    p = parameters[0]
+    head_inertia = (p.head_inertia_n, p.head_inertia_h, p.head_inertia_t)
     zero = (0.0, 0.0, 0.0)
     face = added(head_velocity, 1.0, cross(head_spin, arm))
     approach = dot(face, normal)
@@ -246,35 +238,31 @@ def collide(
         return zero, zero, zero, head_velocity, head_spin
 
     # K maps an impulse on the ball to the change of contact velocity, ball less head; it is symmetric.
-    inverse_mass = 1.0 / ball_mass + 1.0 / head_mass
-    rolling = ball_radius * ball_radius / ball_inertia
+    inverse_mass = 1.0 / p.ball_mass + 1.0 / p.head_mass
+    rolling = p.ball_radius * p.ball_radius / p.ball_inertia
     first = _response((1.0, 0.0, 0.0), normal, arm, axes, head_inertia, inverse_mass, rolling)
     second = _response((0.0, 1.0, 0.0), normal, arm, axes, head_inertia, inverse_mass, rolling)
     third = _response((0.0, 0.0, 1.0), normal, arm, axes, head_inertia, inverse_mass, rolling)
-    if restitution_slope != 0.0:
-        restitution = min(1.0, max(_MIN_RESTITUTION, restitution + restitution_slope * (approach - _USUAL)))
-    if tangential_stiffness > 0.0:
+    response = (first, second, third)
+    restitution = p.restitution
+    if p.restitution_slope != 0.0:
+        restitution = min(1.0, max(_MIN_RESTITUTION, restitution + p.restitution_slope * (approach - _USUAL)))
+    if p.tangential_stiffness > 0.0:
         impulse = contact_impulse(
-            (first, second, third),
-            face,
-            normal,
-            restitution,
-            friction,
-            tangential_stiffness,
-            tangential_loss,
+            response, face, normal, restitution, p.friction, p.tangential_stiffness, p.tangential_loss
         )
     else:
         impulse = _rolling_share(
-            (first, second, third), face, normal, approach, restitution, friction, tangential_factor
+            response, face, normal, approach, restitution, p.friction, p.tangential_factor
         )
 
-    ball_spin = scaled(-ball_radius / ball_inertia, cross(normal, impulse))
+    ball_spin = scaled(-p.ball_radius / p.ball_inertia, cross(normal, impulse))
     kick = _inverse_inertia(cross(arm, impulse), axes, head_inertia)
     return (
-        scaled(1.0 / ball_mass, impulse),
+        scaled(1.0 / p.ball_mass, impulse),
         ball_spin,
         impulse,
-        added(head_velocity, -1.0 / head_mass, impulse),
+        added(head_velocity, -1.0 / p.head_mass, impulse),
         added(head_spin, -1.0, kick),
     )
 
@@ -366,24 +354,7 @@ def _collide_at(
     contact = added(added(scaled(strike_x, t), strike_y, h), -sagitta, n)
     arm = added(contact, p.head_depth, n)
     velocity = added(face_velocity, -p.head_depth, cross(spin, n))
-    result = collide(
-        velocity,
-        spin,
-        normal,
-        arm,
-        axes,
-        p.head_mass,
-        (p.head_inertia_n, p.head_inertia_h, p.head_inertia_t),
-        p.ball_mass,
-        p.ball_radius,
-        p.ball_inertia,
-        p.restitution,
-        p.friction,
-        p.tangential_factor,
-        p.restitution_slope,
-        p.tangential_stiffness,
-        p.tangential_loss,
-    )
+    result = collide(velocity, spin, normal, arm, axes, parameters)
     return result[0], result[1], result[2], result[3], result[4], contact
 
 
@@ -544,7 +515,6 @@ def launch_from_motion(velocity: Vector, spin: Vector) -> Launch:
     azimuth = atan2(velocity[2], velocity[0])
     level = hypot(velocity[0], velocity[2])
     elevation = atan2(velocity[1], level)
-    right = (-sin(azimuth), 0.0, cos(azimuth))
-    up = (-sin(elevation) * cos(azimuth), cos(elevation), -sin(elevation) * sin(azimuth))
+    right, up = across_flight(elevation, azimuth)
     back, side = dot(spin, right), 0.0 - dot(spin, up)
     return Launch(sqrt(dot(velocity, velocity)), elevation, azimuth, hypot(back, side), atan2(side, back))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import cos, sin, sqrt
 
 from drivers.base.compiled import compiled
 
@@ -44,3 +44,10 @@ def unit(a: Vector) -> Vector:
     """Return a / |a|; the zero vector stays zero."""
     length = norm(a)
     return scaled(1.0 / length, a) if length > 0.0 else a
+
+
+@compiled
+def across_flight(elevation: float, azimuth: float) -> tuple[Vector, Vector]:
+    """Return the unit vectors (right, up) across a flight at these angles (rad), in the golf frame."""
+    right = (-sin(azimuth), 0.0, cos(azimuth))
+    return right, (-sin(elevation) * cos(azimuth), cos(elevation), -sin(elevation) * sin(azimuth))

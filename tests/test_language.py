@@ -59,7 +59,6 @@ MAX_LINES = 60
 WHOLE = {
     "sim/dynamics.py:_derivative",
     "sim/kane.py:kane_terms_at",
-    "sim/impact.py:collide",
     "sim/plant.py:advance",
     "bench/design/optimal_control.py:solve_downswing",
 }

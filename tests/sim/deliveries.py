@@ -1,10 +1,14 @@
-"""Deliveries as a launch monitor states them."""
+"""Deliveries as a launch monitor states them, and heads in a collision."""
 
 from __future__ import annotations
 
 from math import cos, sin
 
-from sim.impact import Delivery, Source
+import numpy as np
+
+from drivers.base.compiled import new_record
+from sim.ball import Ball
+from sim.impact import IMPACT, Delivery, Source
 
 
 def delivery_from_angles(
@@ -33,3 +37,13 @@ def delivery_from_angles(
         source=source,
         shaft_loft=shaft_loft,
     )
+
+
+def head_parameters(head_mass: float, inertia: tuple[float, ...], **values: float) -> np.ndarray:
+    """Return IMPACT of a head with `inertia` about its axes that meets the standard ball."""
+    record, ball = new_record(IMPACT), Ball()
+    values |= {"ball_mass": ball.mass, "ball_radius": ball.radius, "ball_inertia": ball.inertia}
+    values |= {f"head_inertia_{axis}": one for axis, one in zip("nht", inertia, strict=True)}
+    for name, value in (values | {"head_mass": head_mass}).items():
+        record[name] = value
+    return record

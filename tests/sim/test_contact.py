@@ -15,7 +15,7 @@ from sim.ball import Ball
 from sim.contact import contact_impulse
 from sim.impact import collide, strike
 from sim.robot import Club
-from tests.sim.deliveries import delivery_from_angles
+from tests.sim.deliveries import delivery_from_angles, head_parameters
 
 BALL = Ball()
 RPM = pi / 30
@@ -129,24 +129,17 @@ def test_collide_random_impacts_conserve_momentum_and_gain_no_energy() -> None:
         e = 1.0 if number % 20 == 0 else float(random.uniform(0.2, 1.0))
         loss = 0.0 if number % 20 == 1 else float(random.uniform(0, 1))
         axes: Any = tuple(tuple(rotation[:, i].tolist()) for i in range(3))
-        result = collide(
-            tuple(velocity.tolist()),
-            tuple(spin.tolist()),
-            tuple(normal.tolist()),
-            tuple(arm.tolist()),
-            axes,
+        parameters = head_parameters(
             mass,
-            tuple(inertia.tolist()),
-            BALL.mass,
-            BALL.radius,
-            BALL.inertia,
-            e,
-            float(random.uniform(0, 1.5)),
-            0.0,
-            float(random.uniform(-0.005, 0.0)),
-            float(random.uniform(0.2, 2.0)),
-            loss,
+            inertia,
+            restitution=e,
+            friction=random.uniform(0, 1.5),
+            restitution_slope=random.uniform(-0.005, 0.0),
+            tangential_stiffness=random.uniform(0.2, 2.0),
+            tangential_loss=loss,
         )
+        moving: Any = (tuple(one.tolist()) for one in (velocity, spin, normal, arm))
+        result = collide(*moving, axes, parameters)
         v, w, impulse, v1, w1 = (np.array(x) for x in result)
         tensor = rotation @ np.diag(inertia) @ rotation.T
         before = mass * velocity @ velocity + spin @ tensor @ spin

@@ -34,7 +34,7 @@ from sim.impact import (
 )
 from sim.robot import Club
 from tests.sampling import examples
-from tests.sim.deliveries import delivery_from_angles
+from tests.sim.deliveries import delivery_from_angles, head_parameters
 
 MPH = 0.44704
 RPM = pi / 30
@@ -99,21 +99,10 @@ def test_collide_conserves_momentum_and_gains_no_energy(
     rotation = Rotation.from_rotvec(turn).as_matrix()
     axes: Any = tuple(tuple(float(x) for x in rotation[:, i]) for i in range(3))
     tensor = rotation @ np.diag(inertia) @ rotation.T
-    result = collide(
-        velocity,
-        spin,
-        tuple(n.tolist()),
-        arm,
-        axes,
-        head_mass,
-        inertia,
-        BALL.mass,
-        r,
-        BALL.inertia,
-        restitution,
-        friction,
-        factor,
+    parameters = head_parameters(
+        head_mass, inertia, restitution=restitution, friction=friction, tangential_factor=factor
     )
+    result = collide(velocity, spin, tuple(n.tolist()), arm, axes, parameters)
     v_ball, w_ball, impulse, v_head, w_head = (np.array(x) for x in result)
     v0, w0 = np.array(velocity), np.array(spin)
 
@@ -149,14 +138,9 @@ def _central(factor: float, friction: float, loft: float = 0.3) -> tuple[np.ndar
         (cos(loft), sin(loft), 0.0),
         (0.0, 0.0, 0.0),
         ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        0.2,
-        (3e-4, 4e-4, 3e-4),
-        BALL.mass,
-        BALL.radius,
-        BALL.inertia,
-        0.8,
-        friction,
-        factor,
+        head_parameters(
+            0.2, (3e-4, 4e-4, 3e-4), restitution=0.8, friction=friction, tangential_factor=factor
+        ),
     )
     return np.array(result[0]), np.array(result[1])
 
