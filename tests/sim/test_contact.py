@@ -1,4 +1,4 @@
-"""The compliant contact: known limits, conservation in 10,000 drawn impacts, gear effect, wet faces."""
+"""The compliant contact: known limits, gear effect, wet faces; conservation: `test_impact`."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from sim.ball import Ball
 from sim.contact import contact_impulse
-from sim.impact import collide, strike
+from sim.impact import strike
 from sim.robot import Club
-from tests.sim.deliveries import delivery_from_angles, head_parameters
+from tests.sim.deliveries import delivery_from_angles
 
 BALL = Ball()
 RPM = pi / 30
@@ -38,7 +37,7 @@ IRON = replace(
     bulge_radius=1e6,
     roll_radius=1e6,
 )
-DRAWN = 200 if numba.config.DISABLE_JIT else 10_000
+DRAWN = 20 if numba.config.DISABLE_JIT else 1000
 
 # One mass against a wall: normal inverse mass 1, across the face 3.5 (a ball that rolls).
 WALL: Any = ((1.0, 0.0, 0.0), (0.0, 3.5, 0.0), (0.0, 0.0, 3.5))
@@ -111,54 +110,9 @@ def test_contact_impulse_matches_fine_step_reference(
     assert share == pytest.approx(_finer(slope, e, 0.4, stiffness, loss), rel=2e-3)
 
 
-@pytest.mark.slow
-def test_collide_random_impacts_conserve_momentum_and_gain_no_energy() -> None:
-    random = np.random.default_rng(20)
-    worst_momentum = worst_turning = most_energy = 0.0
-    for number in range(DRAWN):
-        normal = random.normal(size=3)
-        normal /= np.linalg.norm(normal)
-        velocity, spin, arm = (
-            random.uniform(-60, 60, 3),
-            random.uniform(-80, 80, 3),
-            random.uniform(-0.06, 0.06, 3),
-        )
-        rotation = Rotation.random(rng=random).as_matrix()
-        inertia, mass = random.uniform(5e-5, 1e-3, 3), float(random.uniform(0.05, 0.5))
-        # One in twenty loses nothing along the normal, one in twenty nothing across the face.
-        e = 1.0 if number % 20 == 0 else float(random.uniform(0.2, 1.0))
-        loss = 0.0 if number % 20 == 1 else float(random.uniform(0, 1))
-        axes: Any = tuple(tuple(rotation[:, i].tolist()) for i in range(3))
-        parameters = head_parameters(
-            mass,
-            inertia,
-            restitution=e,
-            friction=random.uniform(0, 1.5),
-            restitution_slope=random.uniform(-0.005, 0.0),
-            tangential_stiffness=random.uniform(0.2, 2.0),
-            tangential_loss=loss,
-        )
-        moving: Any = (tuple(one.tolist()) for one in (velocity, spin, normal, arm))
-        result = collide(*moving, axes, parameters)
-        v, w, impulse, v1, w1 = (np.array(x) for x in result)
-        tensor = rotation @ np.diag(inertia) @ rotation.T
-        before = mass * velocity @ velocity + spin @ tensor @ spin
-        after = mass * v1 @ v1 + w1 @ tensor @ w1 + BALL.mass * v @ v + BALL.inertia * w @ w
-        most_energy = max(most_energy, after / before - 1)
-        momentum = BALL.mass * v + mass * v1 - mass * velocity
-        worst_momentum = max(worst_momentum, float(np.abs(momentum).max()))
-        turning = np.cross(-arm, mass * (v1 - velocity)) + tensor @ (w1 - spin)
-        turning += np.cross(BALL.radius * normal, BALL.mass * v) + BALL.inertia * w
-        worst_turning = max(worst_turning, float(np.abs(turning).max()))
-        assert impulse @ normal >= 0
-    assert worst_momentum < 1e-12
-    assert worst_turning < 1e-12
-    assert most_energy < 1e-12
-
-
 def test_strike_smash_factor_stays_below_physical_limit() -> None:
     random = np.random.default_rng(21)
-    for _ in range(DRAWN // 10):
+    for _ in range(DRAWN):
         club = DRIVER if random.random() < 0.5 else IRON
         speed, attack, loft = random.uniform(20, 60), random.uniform(-0.1, 0.1), random.uniform(0, 1.1)
         x, y = random.uniform(-0.025, 0.025), random.uniform(-0.015, 0.015)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from sim.kane import bias_forces, forward_dynamics, inverse_dynamics, mass_matrix
 from sim.kinematics import forward_kinematics, right_arm_length
-from sim.robot import Club, RobotParameters, thesis_robot
+from sim.robot import Club, thesis_robot
 
 REFERENCE = Path(__file__).parent / "data" / "dynamics_cases.json"
 CASES: list[dict[str, Any]] = json.loads(REFERENCE.read_text())["cases"]
@@ -27,12 +27,6 @@ speed = st.floats(-40.0, 40.0)
 clubs = st.sampled_from(list(CLUBS))
 
 
-def relative_error(found: Any, expected: Any) -> float:
-    """Largest deviation of any component, relative to the largest component expected."""
-    expected = np.asarray(expected, dtype=float)
-    return float(np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected)))
-
-
 def random_states(n: int, seed: int = 1) -> tuple[Any, Any, Any]:
     """Random (q, u, effort), each (n, 3): the arm's whole range, any shoulder and wrist angle."""
     rng = np.random.default_rng(seed)
@@ -40,29 +34,17 @@ def random_states(n: int, seed: int = 1) -> tuple[Any, Any, Any]:
     return q, rng.uniform(-30, 30, (n, 3)), rng.uniform(-1, 1, (n, 3)) * (400, 2000, 200)
 
 
-def test_kane_matches_each_reference_case() -> None:
+def test_kane_matches_reference_in_every_component() -> None:
+    """Component by component, so that a large component hides no error in a small one."""
     robot = thesis_robot()
     assert len(CASES) == 40
-    for number, case in enumerate(CASES):
-        q, u, effort = case["q"], case["u"], case["effort"]
-        for found, expected in (
-            (forward_dynamics(robot, q, u, effort), case["qdd"]),
-            (mass_matrix(robot, q), case["mass_matrix"]),
-            (forward_kinematics(robot, q), case["head"]),
-            (inverse_dynamics(robot, q, u, case["qdd"]), effort),
-        ):
-            assert relative_error(found, expected) < TOLERANCE, number
-
-
-def test_kane_matches_reference_in_every_component() -> None:
-    """Also component by component, so that a large component hides no error in a small one."""
-    robot = thesis_robot()
     columns = {key: np.array([case[key] for case in CASES]) for key in CASES[0]}
-    q = columns["q"]
-    found = forward_dynamics(robot, q, columns["u"], columns["effort"])
-    np.testing.assert_allclose(found, columns["qdd"], rtol=TOLERANCE)
+    q, u, effort = (columns[name] for name in ("q", "u", "effort"))
+    np.testing.assert_allclose(forward_dynamics(robot, q, u, effort), columns["qdd"], rtol=TOLERANCE)
     np.testing.assert_allclose(mass_matrix(robot, q), columns["mass_matrix"], rtol=TOLERANCE)
     np.testing.assert_allclose(forward_kinematics(robot, q), columns["head"], rtol=TOLERANCE)
+    for number, back in enumerate(inverse_dynamics(robot, q, u, columns["qdd"])):
+        assert np.max(np.abs(back - effort[number])) < TOLERANCE * np.max(np.abs(effort[number])), number
 
 
 @given(
@@ -89,13 +71,6 @@ def test_mass_matrix_is_symmetric_and_positive_definite(q: tuple[float, ...], cl
     assert np.min(np.linalg.eigvalsh(matrix)) > 1e-3
 
 
-@given(q=st.tuples(angle, angle, angle), turn=angle)
-def test_mass_matrix_ignores_shoulder_angle(q: tuple[float, ...], turn: float) -> None:
-    robot = thesis_robot()
-    turned = (q[0] + turn, q[1], q[2])
-    np.testing.assert_allclose(mass_matrix(robot, turned), mass_matrix(robot, q), rtol=1e-13)
-
-
 @pytest.mark.parametrize("shape", [(5,), (2, 3), (0,), (1, 1)])
 def test_kane_batches_equal_single_calls(shape: tuple[int, ...]) -> None:
     robot = thesis_robot()
@@ -113,13 +88,6 @@ def test_kane_batches_equal_single_calls(shape: tuple[int, ...]) -> None:
         assert np.array_equal(matrix[index], mass_matrix(robot, q[i]))
         assert np.array_equal(bias[index], bias_forces(robot, q[i], u[i]))
         assert np.array_equal(back[index], inverse_dynamics(robot, q[i], u[i], u_dot[index]))
-
-
-def test_forward_dynamics_broadcasts_effort_over_states() -> None:
-    robot = thesis_robot()
-    q, u, effort = random_states(4)
-    found = forward_dynamics(robot, q, u, effort[0])
-    assert np.array_equal(found, forward_dynamics(robot, q, u, np.tile(effort[0], (4, 1))))
 
 
 def test_forward_dynamics_equals_mass_matrix_and_bias_solution() -> None:
@@ -150,12 +118,3 @@ def test_forward_dynamics_wrong_shape_raises(bad: Any) -> None:
 
 def test_forward_dynamics_nan_input_gives_nan() -> None:
     assert np.isnan(forward_dynamics(thesis_robot(), (0.0, 4.0, np.nan), np.zeros(3), np.zeros(3))).all()
-
-
-@given(q=st.tuples(angle, angle, angle))
-def test_mass_matrix_heavier_head_adds_inertia(q: tuple[float, ...]) -> None:
-    light, heavy = (mass_matrix(RobotParameters(club=Club(head_mass=mass)), q) for mass in (0.1, 0.3))
-    added = np.linalg.eigvalsh(heavy - light)
-    # A point mass in a plane adds two directions of inertia and nothing in the third.
-    assert np.min(added) > -1e-12
-    assert np.max(added) > 0.1

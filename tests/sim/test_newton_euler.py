@@ -1,4 +1,4 @@
-"""The model a third time: five free bodies, held together by constraint forces (Newton and Euler).
+"""The model a second time: five free bodies, held together by constraint forces (Newton and Euler).
 
 Each body has its own three equations m a = sum of forces, I alpha = sum of torques. Pins at R1, R2, R3
 (club and rod both), R6 and the cylinder's sliding guide give 12 constraint rows J on the 15 velocities;
@@ -8,14 +8,16 @@ the three actuators pull on the bodies they really sit between. Nothing is share
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from sim.kane import forward_dynamics, inverse_dynamics
 from sim.robot import Body, Club, RobotParameters, thesis_robot
+from tests.sampling import release_except
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-10
@@ -35,6 +37,13 @@ class Mechanism(NamedTuple):
     joints: Array  # (3, 15): u = joints v
     actuators: Array  # (15, 3): generalised forces of a unit M_A, F_E, M_C
     centripetal: Array  # (12,): J a = centripetal
+    velocity: Array  # (15,)
+    centres: Array  # (15,), without the bodies' angles
+
+    @property
+    def energy(self) -> Array:
+        """Kinetic and potential energy (J)."""
+        return np.array([self.velocity @ self.mass @ self.velocity / 2, -self.gravity @ self.centres])
 
 
 def _turned(vector: Array) -> Array:
@@ -97,7 +106,8 @@ def _assemble(robot: RobotParameters, q: Array, u: Array) -> Mechanism:
 
     mass = np.concatenate([[body.mass, body.mass, body.inertia] for body in parts])
     weight = np.concatenate([[0.0, -body.mass * robot.in_plane_gravity, 0.0] for body in parts])
-    return Mechanism(np.diag(mass), weight, rows, joints, actuators, centripetal)
+    centres = np.concatenate([[*place, 0.0] for place in centre])
+    return Mechanism(np.diag(mass), weight, rows, joints, actuators, centripetal, velocity, centres)
 
 
 def _forward(robot: RobotParameters, q: Array, u: Array, effort: Array) -> Array:
@@ -143,3 +153,27 @@ def test_kane_round_trip_with_newton_euler_recovers_effort() -> None:
     back = inverse_dynamics(robot, q, u, _forward(robot, q, u, effort))
     np.testing.assert_allclose(there, effort, rtol=TOLERANCE)
     np.testing.assert_allclose(back, effort, rtol=TOLERANCE)
+
+
+STARTS = {
+    "bent arm released": ((-0.4, 4.0, 5.5), (0.0, 0.0, 0.0)),
+    "small swing about hanging": ((-1.5, 6.2, 6.2), (0.0, 0.0, 0.0)),
+    "thrown over the top": ((-1.2, 4.2, 5.8), (6.0, -2.0, 9.0)),
+}
+
+
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("club", release_except({"driver"}, ("thesis", "driver")))
+def test_forward_dynamics_free_swing_conserves_energy(start: str, club: str) -> None:
+    """Without friction and actuators the robot swings for ever, 10 s here."""
+    robot, no_effort = thesis_robot(getattr(Club, club)()), np.zeros(3)
+
+    def rate(_: float, state: Any) -> Any:
+        return np.concatenate([state[3:], forward_dynamics(robot, state[:3], state[3:], no_effort)])
+
+    times, begin = np.linspace(0.0, 10.0, 501), np.ravel(STARTS[start])
+    motion = solve_ivp(rate, (0.0, 10.0), begin, "DOP853", times, rtol=1e-12, atol=1e-12)
+    energies = np.array([_assemble(robot, state[:3], state[3:]).energy for state in motion.y.T])
+    total, most_kinetic = energies.sum(axis=1), energies[:, 0].max()
+    assert most_kinetic > 0.02, "nothing swings"
+    assert np.max(np.abs(total - total[0])) < 1e-8 * most_kinetic
