@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 import nidaqmx._library_interpreter
@@ -18,19 +17,14 @@ from hypothesis import strategies as st
 
 from drivers.base import PASSIVE, Command, Driver, DriverError, Readings
 from drivers.base.compiled import new_record
-from drivers.base.records import READINGS, pack_readings, unpack_command
-from drivers.base.shared_memory import SharedRecord
+from drivers.base.records import READINGS, pack_readings
 from drivers.canopen.driver import CanopenDriver
-from drivers.canopen.settings import CanopenSettings
 from drivers.daq.driver import DaqDriver
 from drivers.mock import MockDriver
 from sim.driver import SimDriver
-from sim.exchange import PLANT_REPORT, REPORT_FILE
-from sim.nodes.wall_plant import NodesPlan
-from sim.plant import PlantParameters
 from tests.drivers.canopen.in_step import Wire, make
+from tests.drivers.canopen.nodes_process import NodesProcess, rounded
 from tests.drivers.daq.system import System, command_of, driver_on
-from tests.ready_child import ready_child
 
 PERIOD = 1e-3
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
@@ -49,55 +43,6 @@ def _applied(driver: Driver) -> Command:
     applied = driver.applied  # type: ignore[attr-defined]  # the probe of simulated drivers
     assert isinstance(applied, Command)
     return applied
-
-
-class NodesProcess:
-    """Simulated CANopen nodes on their own clock; they live as long as this module."""
-
-    def __init__(self, folder: Path) -> None:
-        self.settings = CanopenSettings(  # patient: the machine may be busy
-            "local_socket", str(folder / "can"), heartbeat=0.05, interlock_period=0.3, sdo_timeout=2.0
-        )
-        plan = NodesPlan(
-            self.settings.interface,
-            self.settings.channel,
-            self.settings.bitrate,
-            self.settings.encoders.nodes,
-            self.settings.valve_node.node,
-            PlantParameters(),
-            folder,
-            angle=(0.2, 4.3, 6.0),
-        )
-        self.process = ready_child("sim.nodes.process", plan)
-        first = CanopenDriver(self.settings, watchdog=0.5)
-        first.open()  # a node that was never set up falls back to 0 V, which is full stroke
-        first.close()
-        self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
-
-    def in_force(self) -> Command:
-        """Return the command in force, to the outputs' resolution, once all frames sent are received."""
-        return rounded(newest_command(self._shared))
-
-    def end(self) -> None:
-        self._shared.close()
-        self.process.end(5.0)
-
-
-def newest_command(shared: SharedRecord) -> Command:
-    """Return the command in force once the plant has lived for more ticks than it makes up in one go."""
-    report = np.zeros(1, PLANT_REPORT)
-    shared.read(report)
-    heard, deadline = report["ticks"][0] + 7, time.monotonic() + 20.0
-    while report["ticks"][0] < heard:
-        assert time.monotonic() < deadline
-        time.sleep(0.0005)
-        shared.read(report)
-    return unpack_command(report["node"]["applied"])
-
-
-def rounded(command: Command) -> Command:
-    a, b, c = (round(opening, 4) + 0.0 for opening in command.valve)
-    return command._replace(valve=(a, b, c))
 
 
 _WIRES: dict[int, Wire] = {}
@@ -139,6 +84,9 @@ def _devices(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     with ExitStack() as stack:
         if any(item.get_closest_marker("live") for item in here):
             _NODES.append(NodesProcess(tmp_path_factory.mktemp("nodes")))
+            first = CanopenDriver(_NODES[0].settings, watchdog=0.5)
+            first.open()  # a node that was never set up falls back to 0 V, which is full stroke
+            first.close()
             stack.callback(lambda: _NODES.pop().end())
         patched = stack.enter_context(pytest.MonkeyPatch.context())
         patched.setattr(nidaqmx._library_interpreter, "LibraryInterpreter", lambda: _SYSTEM)
@@ -152,7 +100,7 @@ DRIVERS: dict[str, Case] = {
     "canopen in step": Case(in_step, lambda driver: _WIRES[id(driver)].in_force),
     "canopen": Case(
         lambda: CanopenDriver(_NODES[0].settings, watchdog=0.5),
-        lambda _: _NODES[0].in_force(),
+        lambda _: _NODES[0].settled(),
         on_wall=True,
     ),
     "daq": Case(on_card, command_on_card),

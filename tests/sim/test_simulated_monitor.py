@@ -26,6 +26,7 @@ from sim.simulated_monitor import (
     SimulatedMonitor,
     monitor_messages,
 )
+from tests.drivers.launch_monitor.stream import serving
 
 STRUCK = Launch(65.0, 0.2, 0.01, 300.0, -0.05)
 EXACT = MonitorParameters(speed_noise=0.0, angle_noise=0.0, spin_noise=0.0, axis_noise=0.0)
@@ -33,10 +34,8 @@ EXACT = MonitorParameters(speed_noise=0.0, angle_noise=0.0, spin_noise=0.0, axis
 
 @pytest.fixture
 def server() -> Iterator[LaunchMonitorServer]:
-    made = LaunchMonitorServer(LaunchMonitorSettings(), port=0)
-    made.open()
-    yield made
-    made.close()
+    with serving() as made:
+        yield made
 
 
 def told(launch: Launch, number: int, parameters: MonitorParameters) -> list[LaunchRecord]:

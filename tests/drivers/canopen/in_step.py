@@ -165,17 +165,13 @@ class Wire:
             self.put(changed, content)
 
 
-def nodes_plan(plant: PlantParameters = PLANT, settings: CanopenSettings = SETTINGS) -> NodesPlan:
-    """Return the plan of nodes that need no folder."""
+def nodes_plan(
+    plant: PlantParameters = PLANT, settings: CanopenSettings = SETTINGS, folder: Path = Path("/nowhere")
+) -> NodesPlan:
+    """Return the plan of nodes with `settings`; those in step need no folder."""
+    s = settings
     return NodesPlan(
-        settings.interface,
-        settings.channel,
-        settings.bitrate,
-        settings.encoders.nodes,
-        settings.valve_node.node,
-        plant,
-        Path("/nowhere"),
-        angle=START,
+        s.interface, s.channel, s.bitrate, s.encoders.nodes, s.valve_node.node, plant, folder, START
     )
 
 

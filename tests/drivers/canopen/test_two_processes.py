@@ -11,19 +11,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
-import numpy as np
 import pytest
 
-from bench.supervisor.child_process import Child
+from bench.supervisor.child_process import Child, NotStarted
 from drivers.base import PASSIVE, Command, DriverError
-from drivers.base.records import unpack_command
-from drivers.base.shared_memory import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.driver import CanopenDriver
-from drivers.canopen.settings import CanopenSettings
-from sim.exchange import PLANT_REPORT, REPORT_FILE, SURROUNDINGS_FILE, SurroundingsWriter
+from sim.exchange import REPORT_FILE, SURROUNDINGS_FILE, SurroundingsWriter
 from sim.nodes.wall_plant import NodesPlan
 from sim.plant import PlantParameters
+from tests.drivers.canopen.nodes_process import NodesProcess
+from tests.ready_child import ready_child
 
 pytestmark = pytest.mark.live
 
@@ -46,54 +44,15 @@ while True:
 """
 
 
-class Nodes:
-    """The simulated nodes; they live as long as this module."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.settings = CanopenSettings(  # patient: the machine may be busy
-            "local_socket", str(folder / "can"), sdo_timeout=2.0, heartbeat=0.1, interlock_period=0.1
-        )
-        s = self.settings
-        plan = NodesPlan(
-            s.interface, s.channel, s.bitrate, s.encoders.nodes, s.valve_node.node, PlantParameters(), folder
-        )
-        self.child = Child.start("nodes", "sim.nodes.process", plan)
-        try:
-            self.child.wait_until_ready(100.0)
-        except BaseException:
-            self.child.kill()
-            raise
-        self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
-        self.report = np.zeros(1, PLANT_REPORT)
-
-    @property
-    def node(self) -> np.void:
-        self._shared.read(self.report)
-        found: np.void = self.report["node"][0]
-        return found
-
-    @property
-    def in_force(self) -> Command:
-        self._shared.read(self.report)
-        command = unpack_command(self.report["node"]["applied"])
-        a, b, c = (round(opening, 4) + 0.0 for opening in command.valve)
-        return command._replace(valve=(a, b, c))
-
-    def close(self) -> None:
-        self._shared.close()
-        self.child.end(5.0)
-
-
 @pytest.fixture(scope="module")
-def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
-    made = Nodes(tmp_path_factory.mktemp("nodes"))
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodesProcess]:
+    made = NodesProcess(tmp_path_factory.mktemp("nodes"))
     yield made
-    made.close()
+    made.end()
 
 
 @pytest.fixture
-def driver(nodes: Nodes) -> Iterator[CanopenDriver]:
+def driver(nodes: NodesProcess) -> Iterator[CanopenDriver]:
     made = CanopenDriver(nodes.settings, watchdog=0.3)
     made.open()
     yield made
@@ -117,14 +76,16 @@ def wait(holds: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
-def test_nodes_process_receives_commands_and_sends_positions(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_nodes_process_receives_commands_and_sends_positions(
+    driver: CanopenDriver, nodes: NodesProcess
+) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
     run(driver, lambda: driver.counters.positions > 300 and driver.counters.analogue > 4)
     assert driver.operational
     assert nodes.node["operational"]
 
 
-def test_surroundings_writer_changes_readings(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_surroundings_writer_changes_readings(driver: CanopenDriver, nodes: NodesProcess) -> None:
     with SurroundingsWriter(nodes.folder) as around:
         around.change(emergency_stop_clear=False, encoder_valid=(True, False, True))
         run(driver, lambda: not driver.read(time.monotonic()).emergency_stop_clear, PASSIVE)
@@ -139,7 +100,9 @@ def test_surroundings_writer_changes_readings(driver: CanopenDriver, nodes: Node
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_loop_killed_or_frozen_valves_centre_within_watchdog(nodes: Nodes, number: signal.Signals) -> None:
+def test_loop_killed_or_frozen_valves_centre_within_watchdog(
+    nodes: NodesProcess, number: signal.Signals
+) -> None:
     before = int(nodes.node["watchdog_trips"])
     with subprocess.Popen(
         [sys.executable, "-c", LOOP, nodes.settings.channel],
@@ -161,7 +124,7 @@ def test_loop_killed_or_frozen_valves_centre_within_watchdog(nodes: Nodes, numbe
     assert 15 <= int(node["passive_tick"]) - int(node["command_tick"]) <= 40
 
 
-def test_nodes_frozen_driver_latches_fault_until_reopened(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_nodes_frozen_driver_latches_fault_until_reopened(driver: CanopenDriver, nodes: NodesProcess) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
     nodes.child.process.send_signal(signal.SIGSTOP)
     try:
@@ -175,7 +138,9 @@ def test_nodes_frozen_driver_latches_fault_until_reopened(driver: CanopenDriver,
     run(driver, lambda: nodes.in_force == MOVING)
 
 
-def test_bus_switched_off_driver_latches_fault_until_reopened(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_bus_switched_off_driver_latches_fault_until_reopened(
+    driver: CanopenDriver, nodes: NodesProcess
+) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
     switch(nodes.settings.channel, on=False)
     try:
@@ -191,7 +156,7 @@ def test_bus_switched_off_driver_latches_fault_until_reopened(driver: CanopenDri
     run(driver, lambda: nodes.in_force == MOVING)
 
 
-def test_foreign_frames_are_tolerated_and_bus_off_faults(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_foreign_frames_are_tolerated_and_bus_off_faults(driver: CanopenDriver, nodes: NodesProcess) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
     with can.Bus(interface="local_socket", channel=nodes.settings.channel) as other:
         before = driver.counters.positions
@@ -200,7 +165,7 @@ def test_foreign_frames_are_tolerated_and_bus_off_faults(driver: CanopenDriver, 
             other.send(can.Message(arbitration_id=0x555, is_extended_id=False, data=bytes(8)))
         run(driver, lambda: driver.counters.positions > before + 30)
         assert driver.counters.wrong_length > 0
-        assert driver.operational
+        assert driver.operational, driver.fault
         other.send(can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False, data=bytes(8)))
         run(driver, lambda: driver.counters.bus_off == 1)
         assert "bus-off" in driver.fault
@@ -209,9 +174,7 @@ def test_foreign_frames_are_tolerated_and_bus_off_faults(driver: CanopenDriver, 
 
 def nodes_in(folder: Path) -> Child:
     plan = NodesPlan("virtual", folder.name, 125_000, (1, 2, 3), 10, PlantParameters(), folder)
-    child = Child.start("nodes", "sim.nodes.process", plan)
-    child.wait_until_ready(100.0)
-    return child
+    return ready_child("sim.nodes.process", plan)
 
 
 def test_nodes_process_successor_ends_first_and_cleans_folder(tmp_path: Path) -> None:
@@ -232,9 +195,5 @@ def test_nodes_process_successor_ends_first_and_cleans_folder(tmp_path: Path) ->
 
 def test_nodes_process_unknown_interface_reports_reason(tmp_path: Path) -> None:
     plan = NodesPlan("no_such", "x", 125_000, (1, 2, 3), 10, PlantParameters(), tmp_path)
-    child = Child.start("nodes", "sim.nodes.process", plan)
-    try:
-        with pytest.raises(Exception, match="no_such"):
-            child.wait_until_ready(100.0)
-    finally:
-        child.end(5.0)
+    with pytest.raises(NotStarted, match="no_such"):
+        ready_child("sim.nodes.process", plan)

@@ -1,13 +1,17 @@
-"""A shot as a monitor sends it, and a plain connection to send it over."""
+"""A shot as a monitor sends it, a plain connection to send it over, and a server."""
 
 from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 from drivers.base import Launch
 from drivers.launch_monitor.open_connect import write_shot
+from drivers.launch_monitor.server import LaunchMonitorServer
+from drivers.launch_monitor.settings import LaunchMonitorSettings
 
 LAUNCH = Launch(65.0, 0.2, 0.01, 300.0, -0.05)
 
@@ -33,3 +37,14 @@ def receive(connection: socket.socket, count: int) -> bytes:
             break
         data += piece
     return data
+
+
+@contextmanager
+def serving(*, clock: Callable[[], float] = time.monotonic, **settings: Any) -> Iterator[LaunchMonitorServer]:
+    """Yield an open server with `settings` at a free port."""
+    server = LaunchMonitorServer(LaunchMonitorSettings(**settings), port=0, clock=clock)
+    server.open()
+    try:
+        yield server
+    finally:
+        server.close()

@@ -17,7 +17,7 @@ from drivers.launch_monitor.open_connect import write_heartbeat
 from drivers.launch_monitor.record import ClubRecord, RefusedRecord
 from drivers.launch_monitor.server import MAX_CONNECTIONS, LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings, SimulatorSettings
-from tests.drivers.launch_monitor.stream import LAUNCH, receive, shot, wait_for
+from tests.drivers.launch_monitor.stream import LAUNCH, receive, serving, shot, wait_for
 
 
 class Clock:
@@ -37,10 +37,8 @@ def clock() -> Clock:
 
 @pytest.fixture
 def server(clock: Clock) -> Iterator[LaunchMonitorServer]:
-    made = LaunchMonitorServer(LaunchMonitorSettings(), port=0, clock=clock)
-    made.open()
-    yield made
-    made.close()
+    with serving(clock=clock) as made:
+        yield made
 
 
 @pytest.fixture
@@ -232,9 +230,7 @@ def test_server_club_zero_counts_after_other_value(server: LaunchMonitorServer, 
 
 
 def test_server_per_shot_connection_is_taken_without_greeting(clock: Clock) -> None:
-    per_shot = LaunchMonitorServer(LaunchMonitorSettings(presence="per_shot"), port=0, clock=clock)
-    per_shot.open()
-    try:
+    with serving(clock=clock, presence="per_shot") as per_shot:
         per_shot.announce_player("DR")
         for number in range(50):
             with socket.create_connection(per_shot.address, 10.0) as connection:
@@ -244,8 +240,6 @@ def test_server_per_shot_connection_is_taken_without_greeting(clock: Clock) -> N
             assert json.loads(receive(connection, 1))["Code"] == 200
         wait_for(lambda: per_shot.link().counts.shots == 51)
         assert [record.number for record in per_shot.take()] == list(range(51))
-    finally:
-        per_shot.close()
 
 
 def test_server_connections_above_limit_are_rejected(server: LaunchMonitorServer, connect: Connect) -> None:
@@ -420,14 +414,10 @@ def test_launch_monitor_settings_network_requires_clients() -> None:
 
 
 def test_server_unlisted_client_is_rejected(clock: Clock) -> None:
-    server = LaunchMonitorServer(LaunchMonitorSettings(clients=("192.0.2.7",)), port=0, clock=clock)
-    server.open()
-    try:
+    with serving(clock=clock, clients=("192.0.2.7",)) as server:
         with socket.create_connection(server.address) as connection:
             assert connection.recv(1) == b""
         assert server.link().rejected == 1
-    finally:
-        server.close()
 
 
 def test_server_ipv6_shot_is_answered() -> None:
@@ -437,11 +427,6 @@ def test_server_ipv6_shot_is_answered() -> None:
         or not os.path.getsize("/proc/net/if_inet6")
     ):
         pytest.skip("this machine has no IPv6")
-    server = LaunchMonitorServer(LaunchMonitorSettings(address="::1"), port=0)
-    server.open()
-    try:
-        with socket.create_connection(server.address) as connection:
-            connection.sendall(shot())
-            assert b"200" in receive(connection, 1)
-    finally:
-        server.close()
+    with serving(address="::1") as server, socket.create_connection(server.address) as connection:
+        connection.sendall(shot())
+        assert b"200" in receive(connection, 1)

@@ -4,16 +4,16 @@ import json
 import math
 import socket
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
 
 from drivers.base import DriverError
 from drivers.launch_monitor.open_connect import write_answer, write_player
 from drivers.launch_monitor.record import ClubFigures
-from drivers.launch_monitor.server import LaunchMonitorServer
-from drivers.launch_monitor.settings import LaunchMonitorSettings, SimulatorSettings
+from drivers.launch_monitor.settings import SimulatorSettings
 from drivers.launch_monitor.simulator_link import MAX_WAITING, SimulatorClient
-from tests.drivers.launch_monitor.stream import LAUNCH, wait_for
+from tests.drivers.launch_monitor.stream import LAUNCH, serving, wait_for
 
 
 @pytest.fixture
@@ -179,17 +179,13 @@ def test_simulator_client_bounds_queue_and_rejects_nan() -> None:
 
 
 def test_simulator_client_and_server_exchange_shot_and_player() -> None:
-    server = LaunchMonitorServer(LaunchMonitorSettings(), port=0)
-    server.open()
-    client = SimulatorClient(SimulatorSettings(True, *server.address), "bench")
-    client.open()
-    try:
-        server.announce_player("PT")
-        client.send(LAUNCH)
-        wait_for(lambda: client.status().taken == 1)
-        (record,) = server.take()
-        assert record.launch == pytest.approx(LAUNCH, abs=1e-4)
-        wait_for(lambda: client.status().player is not None)
-    finally:
-        client.close()
-        server.close()
+    with serving() as server:
+        client = SimulatorClient(SimulatorSettings(True, *server.address), "bench")
+        client.open()
+        with closing(client):
+            server.announce_player("PT")
+            client.send(LAUNCH)
+            wait_for(lambda: client.status().taken == 1)
+            (record,) = server.take()
+            assert record.launch == pytest.approx(LAUNCH, abs=1e-4)
+            wait_for(lambda: client.status().player is not None)
