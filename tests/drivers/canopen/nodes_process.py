@@ -30,7 +30,8 @@ class NodesProcess:
         self.settings = CanopenSettings(
             "local_socket", str(folder / "can"), sdo_timeout=2.0, heartbeat=0.1, interlock_period=0.3
         )
-        self.child = ready_child("sim.nodes.process", nodes_plan(settings=self.settings, folder=folder))
+        self._plan = nodes_plan(settings=self.settings, folder=folder)
+        self.child = ready_child("sim.nodes.process", self._plan)
         self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
         self.report = np.zeros(1, PLANT_REPORT)
 
@@ -50,7 +51,7 @@ class NodesProcess:
     def settled(self) -> Command:
         """Return the command in force once the plant has lived for more ticks than it makes up in one go."""
         self._shared.read(self.report)
-        heard, deadline = self.report["ticks"][0] + 7, time.monotonic() + 20.0
+        heard, deadline = self.report["ticks"][0] + self._plan.max_catch_up + 1, time.monotonic() + 20.0
         while self.report["ticks"][0] < heard:
             assert time.monotonic() < deadline
             time.sleep(0.0005)
