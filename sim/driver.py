@@ -60,12 +60,7 @@ from sim.sensors import Contact, contact_in, note_truth, sense
 _NEAR = 1e-6
 """Rounding tolerance of a time, as a share of a tick."""
 
-_PROGRESS = np.dtype(
-    [
-        *fields("i8", "is_open has_begun ticks written"),
-        *fields("f8", "period first offset"),
-    ]
-)
+_PROGRESS = np.dtype([*fields("i8", "is_open has_begun ticks written"), *fields("f8", "period first offset")])
 """Progress of a SimDriver: `ticks` since the first reading after opening, which was at `first` (s of the
 loop), and the tick of the last command; loop time minus plant time is `offset` (s)."""
 

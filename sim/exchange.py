@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -38,11 +38,7 @@ CONTACT = np.dtype(
 """Contact with the last ball on the tee, as in PLANT_STATE: `sim.sensors.contact_in` reads it."""
 
 NODE = np.dtype(
-    [
-        ("operational", "?"),
-        *fields("i8", "watchdog_trips command_tick passive_tick"),
-        ("applied", COMMAND),
-    ],
+    [("operational", "?"), *fields("i8", "watchdog_trips command_tick passive_tick"), ("applied", COMMAND)],
     align=True,
 )
 """The valve node: the ticks of the last applied command and of the last watchdog trip, and the command in
@@ -68,9 +64,7 @@ ticks: the plant's own clock, which stops during a slip. `plant_slips` counts th
 ticks lost in them; `lateness` (s) is the delay of this tick."""
 
 BALL = np.dtype(
-    [
-        *fields("f8", "mass radius inertia_factor restitution_factor friction drag_factor lift_factor"),
-    ],
+    [*fields("f8", "mass radius inertia_factor restitution_factor friction drag_factor lift_factor")],
     align=True,
 )
 """Fields of a `sim.ball.Ball`, same names; all zero for the plan's ball."""
@@ -173,6 +167,17 @@ def _ball_in(record: Any) -> Ball | None:
     return Ball("surroundings", **values) if any(values.values()) else None
 
 
+class Surroundings(TypedDict, total=False):
+    """Fields of PLANT_SURROUNDINGS that `SurroundingsWriter.change` changes."""
+
+    emergency_stop_clear: bool
+    guard_closed: bool
+    local_reset: bool
+    encoder_valid: tuple[bool, bool, bool]
+    frozen: bool
+    regulated: float
+
+
 class SurroundingsWriter:
     """The single writer of the surroundings; values of an earlier writer remain until changed."""
 
@@ -182,31 +187,10 @@ class SurroundingsWriter:
         self._record = undisturbed()
         self._shared.read(self._record)
 
-    def change(
-        self,
-        *,
-        emergency_stop_clear: bool | None = None,
-        guard_closed: bool | None = None,
-        local_reset: bool | None = None,
-        encoder_valid: tuple[bool, bool, bool] | None = None,
-        frozen: bool | None = None,
-        regulated: float | None = None,
-    ) -> None:
-        """Change the given values only.
-
-        `frozen` freezes readings and their time stamps; `regulated` turns the pressure regulator (Pa
-        absolute), 0 back to that of the plan.
-        """
-        for name, value in {
-            "emergency_stop_clear": emergency_stop_clear,
-            "guard_closed": guard_closed,
-            "local_reset": local_reset,
-            "encoder_valid": encoder_valid,
-            "frozen": frozen,
-            "regulated": regulated,
-        }.items():
-            if value is not None:
-                self._record[name] = value
+    def change(self, **values: Unpack[Surroundings]) -> None:
+        """Change the given values only."""
+        for name, value in values.items():
+            self._record[name] = value
         self._shared.write(self._record)
 
     def place_ball(self) -> None:

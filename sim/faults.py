@@ -117,23 +117,15 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "off": "de-energised: they open after their delay",
         "stuck": "stay shut (`value` 1) or open (0)",
     },
-    "vent": {
-        "stuck": "this one of the two stays shut (`value` 1) or open (0)",
-    },
-    "shut-off": {
-        "stuck": "stays open (`value` 1), or shut with the manifold exhausted (0)",
-    },
+    "vent": {"stuck": "this one of the two stays shut (`value` 1) or open (0)"},
+    "shut-off": {"stuck": "stays open (`value` 1), or shut with the manifold exhausted (0)"},
     "relief": {
         "stuck": "stays shut (`value` 1) or fully open (0)",
         "offset": "opens `value` Pa too high",
         "leaking": "leaks the fraction `value` of the fully open flow",
     },
-    "exhaust": {
-        "scale": "passes the share `value` of its area, as with a clogged silencer or a kinked hose",
-    },
-    "safety relay": {
-        "stuck": "its contacts stay closed (`value` 1) or open (0)",
-    },
+    "exhaust": {"scale": "passes the share `value` of its area, as with a clogged silencer or a kinked hose"},
+    "safety relay": {"stuck": "its contacts stay closed (`value` 1) or open (0)"},
     "switch": {
         "off": "reads as de-energised",
         "stuck": "stays as it is, or at `value` (1 or 0)",

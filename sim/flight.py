@@ -269,12 +269,7 @@ def _checked(launches: Array) -> Array:
 
 
 def _settings(
-    air: Air,
-    ball: Ball,
-    wind: Wind | Vector | None,
-    turf: Turf,
-    aerodynamics: Aerodynamics,
-    step: float,
+    air: Air, ball: Ball, wind: Wind | Vector | None, turf: Turf, aerodynamics: Aerodynamics, step: float
 ) -> _Settings:
     if not 1e-5 <= step <= 0.05:
         raise ValueError(f"step: found {step!r} s, expected 0.00001 to 0.05 s")

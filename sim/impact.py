@@ -215,12 +215,7 @@ def meets_face(strike_x: float, strike_y: float) -> bool:
 
 @compiled
 def collide(
-    head_velocity: Vector,
-    head_spin: Vector,
-    normal: Vector,
-    arm: Vector,
-    axes: Axes,
-    parameters: Array,
+    head_velocity: Vector, head_spin: Vector, normal: Vector, arm: Vector, axes: Axes, parameters: Array
 ) -> tuple[Vector, Vector, Vector, Vector, Vector]:
     """Return (ball velocity, ball spin, impulse on the ball, head velocity, head spin) after the contact.
 
@@ -338,12 +333,7 @@ def _solved(a: Vector, b: Vector, c: Vector, right: Vector) -> Vector:
 
 @compiled
 def _collide_at(
-    face_velocity: Vector,
-    spin: Vector,
-    axes: Axes,
-    strike_x: float,
-    strike_y: float,
-    parameters: Array,
+    face_velocity: Vector, spin: Vector, axes: Axes, strike_x: float, strike_y: float, parameters: Array
 ) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector]:
     """`collide` for a face centre moving with `face_velocity`; appends the contact point from that centre."""
     p = parameters[0]

@@ -116,11 +116,4 @@ def head_motion(
     c1, s1 = r.l12 * cos(a1), r.l12 * sin(a1)
     c2, s2 = r.l23 * cos(a2), r.l23 * sin(a2)
     c3, s3 = r.l3t * cos(a3), r.l3t * sin(a3)
-    return (
-        c1 + c2 + c3,
-        s1 + s2 + s3,
-        a3,
-        -s1 * w1 - s2 * w2 - s3 * w3,
-        c1 * w1 + c2 * w2 + c3 * w3,
-        w3,
-    )
+    return (c1 + c2 + c3, s1 + s2 + s3, a3, -s1 * w1 - s2 * w2 - s3 * w3, c1 * w1 + c2 * w2 + c3 * w3, w3)

@@ -19,15 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from drivers.base.compiled import compiled, compiled_with_arrays, copy_fields, fields, new_record
 from drivers.base.ranges import Range
 from sim.ball import Ball
-from sim.dynamics import (
-    ANGLES,
-    SCRATCH,
-    STATES,
-    head_geometry,
-    move,
-    stop_coordinate,
-    stop_depth,
-)
+from sim.dynamics import ANGLES, SCRATCH, STATES, head_geometry, move, stop_coordinate, stop_depth
 from sim.ground import SURFACES, SurfaceName
 from sim.impact import impact_parameters
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply

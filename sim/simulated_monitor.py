@@ -185,11 +185,7 @@ def _root(number: int, options: dict[str, Any], more: dict[str, Any]) -> bytes:
         "Units": "Yards",
         "ShotNumber": number,
         "APIversion": "1",
-        "ShotDataOptions": {
-            **options,
-            "LaunchMonitorIsReady": True,
-            "LaunchMonitorBallDetected": True,
-        },
+        "ShotDataOptions": {**options, "LaunchMonitorIsReady": True, "LaunchMonitorBallDetected": True},
         **more,
     }
     return json.dumps(root).encode()

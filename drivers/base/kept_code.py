@@ -11,13 +11,7 @@ from numba.core import event, types
 from numba.core.caching import IndexDataCacheFile
 
 from drivers.base.compile_report import progress
-from drivers.base.machine_code import (
-    cache_folder,
-    mark_in_use,
-    module_digests,
-    prune_versions,
-    source_digest,
-)
+from drivers.base.machine_code import cache_folder, mark_in_use, module_digests, prune_versions, source_digest
 
 
 @cache

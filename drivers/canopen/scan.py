@@ -188,12 +188,7 @@ class _Scanner:
         """Read and judge a node; return also whether a dialogue has failed that may succeed next time."""
         role = self._roles.get(number, "")
         node = Node(
-            number,
-            role or "not configured",
-            self._send,
-            self._take,
-            self._clock,
-            self._settings.sdo_timeout,
+            number, role or "not configured", self._send, self._take, self._clock, self._settings.sdo_timeout
         )
         device = properties = verdict = shift = ""
         try:

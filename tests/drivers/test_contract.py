@@ -99,9 +99,7 @@ DRIVERS: dict[str, Case] = {
     "sim": Case(lambda: SimDriver(angle=(0.2, 4.3, 6.0)), _applied),
     "canopen in step": Case(in_step, lambda driver: _WIRES[id(driver)].in_force),
     "canopen": Case(
-        lambda: CanopenDriver(_NODES[0].settings, watchdog=0.5),
-        lambda _: _NODES[0].settled(),
-        on_wall=True,
+        lambda: CanopenDriver(_NODES[0].settings, watchdog=0.5), lambda _: _NODES[0].settled(), on_wall=True
     ),
     "daq": Case(on_card, command_on_card),
 }

@@ -42,11 +42,7 @@ LIE = radians(53.0)
 DOWN = 1.5 * pi
 BALL = Ball()
 DRIVER = replace(
-    Club.driver(),
-    restitution=0.83,
-    restitution_slope=0.0,
-    tangential_stiffness=0.0,
-    tangential_loss=0.0,
+    Club.driver(), restitution=0.83, restitution_slope=0.0, tangential_stiffness=0.0, tangential_loss=0.0
 )
 """A driver whose contact is one restitution and one share of rolling; the shipped one: `test_contact`."""
 POINT_HEAD = replace(DRIVER, head_depth=0.0, tangential_factor=1.0)
@@ -514,11 +510,7 @@ def test_launch_from_motion_inverts_flight_start(
 ) -> None:
     from sim.flight import _spin_axis
 
-    velocity = (
-        60 * cos(elevation) * cos(azimuth),
-        60 * sin(elevation),
-        60 * cos(elevation) * sin(azimuth),
-    )
+    velocity = (60 * cos(elevation) * cos(azimuth), 60 * sin(elevation), 60 * cos(elevation) * sin(azimuth))
     axis = _spin_axis(elevation, azimuth, tilt)
     launch = launch_from_motion(velocity, (spin * axis[0], spin * axis[1], spin * axis[2]))
     assert launch == pytest.approx((60, elevation, azimuth, spin, tilt), abs=1e-9)

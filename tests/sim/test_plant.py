@@ -134,9 +134,7 @@ def test_relief_valves_open_only_above_set_pressure() -> None:
 
 @needs_speed
 @pytest.mark.parametrize(
-    ("opens_at", "least", "most"),
-    [(1.1, 8.8e5, 9.3e5), (4.0, 11.1e5, 11.2e5)],
-    ids=["fitted", "never opens"],
+    ("opens_at", "least", "most"), [(1.1, 8.8e5, 9.3e5), (4.0, 11.1e5, 11.2e5)], ids=["fitted", "never opens"]
 )
 def test_manifold_relief_valve_limits_regulator_surge(opens_at: float, least: float, most: float) -> None:
     plant = locked_plant(supply=replace(PlantParameters().supply, manifold_relief_ratio=opens_at))

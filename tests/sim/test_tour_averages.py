@@ -8,15 +8,7 @@ import pytest
 
 from bench.config import load_configuration
 from sim.robot import Club
-from tests.sim.tour_averages import (
-    club_of,
-    error_of,
-    fit,
-    lofted_averages,
-    rms,
-    stiffness_of,
-    tour_averages,
-)
+from tests.sim.tour_averages import club_of, error_of, fit, lofted_averages, rms, stiffness_of, tour_averages
 
 
 @pytest.fixture(scope="module")

@@ -59,13 +59,7 @@ def swing_and_measure(bench: GuestBench, title: str, shots: int, witness: str | 
     rows = [
         Row(title, "loop", 1e6 / told["period_us"], "Hz", f"{lasted:.1f} guest seconds, {shots} swings"),
         Row(title, "processor of the guest", share, "%", "1 GIPS; everything, the test besides"),
-        Row(
-            title,
-            "ticks skipped",
-            told["skipped"],
-            f"of {told['ticks']}",
-            at_most=0,
-        ),
+        Row(title, "ticks skipped", told["skipped"], f"of {told['ticks']}", at_most=0),
         *_segments(title, told),
         *_age_rows(title, np.concatenate(ages), told["period_us"], bench.ring.lost - lost_before),
     ]

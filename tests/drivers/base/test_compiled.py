@@ -212,9 +212,7 @@ def _times(*times: float) -> Iterator[float]:
     yield from times
 
 
-def test_compile_progress_long_compilation_reports_periodically(
-    heard: list[str],
-) -> None:
+def test_compile_progress_long_compilation_reports_periodically(heard: list[str]) -> None:
     times = _times(100.0, 100.5, 101.5, 103.0, 104.1)
     progress = CompileProgress(lambda: next(times))
     progress.known = 180

@@ -46,11 +46,7 @@ class SwingBench:
         parameters = build_controller(c.plant, profile, c.control, c.envelope, c.estimator)
         self.air_planned = bool(parameters.profile["air_planned"][0])
         self.cycle = Cycle(
-            driver,
-            parameters,
-            self.kept,
-            name="in step",
-            note_truth=partial(note_truth, state),
+            driver, parameters, self.kept, name="in step", note_truth=partial(note_truth, state)
         )
         self.tick = 0
         driver.open()

@@ -11,14 +11,7 @@ import pytest
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.nodes.personality import (
-    ENCODER,
-    IO,
-    ObjectChange,
-    Personality,
-    find_personality,
-    personalities,
-)
+from sim.nodes.personality import ENCODER, IO, ObjectChange, Personality, find_personality, personalities
 from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan
 from tests.sampling import release_except
 

@@ -37,10 +37,7 @@ def heartbeats() -> Frames:
     return [(0x700 + node, b"\x05") for node in (*SETTINGS.encoders.nodes, NODE)]
 
 
-PRESSURES = [
-    (0x280 + NODE, b"\x10\x27\xff\x7f\x00\x80\xf0\xd8"),
-    (0x380 + NODE, b"\x10\x20\x01\x00\x02\x00"),
-]
+PRESSURES = [(0x280 + NODE, b"\x10\x27\xff\x7f\x00\x80\xf0\xd8"), (0x380 + NODE, b"\x10\x20\x01\x00\x02\x00")]
 SPOOLS = [(0x480 + NODE, b"\x10\x27\x00\x80\xff\x7f")]
 ODD: dict[int, Frames] = {
     2: [(0x180 + NODE, b"\x0f")],

@@ -76,10 +76,7 @@ REFUSED: dict[str, tuple[object, str]] = {
         encoder({0x6000: 4, 0x6001: 4096, 0x6002: 4096}, read_only=(0x6000, 0x6001, 0x6002)),
         r"object 6001h:0 .*06010002h",
     ),
-    "units for good": (
-        encoder({0x6001: 4096}, read_only=(0x6001,)),
-        r"object 6001h:0 .*06010002h",
-    ),
+    "units for good": (encoder({0x6001: 4096}, read_only=(0x6001,)), r"object 6001h:0 .*06010002h"),
     "scaled to another resolution": (
         encoder({0x6000: 4, 0x6001: 4096, 0x6002: 4096}, counts=2**16),
         r"6501h:0 .*found 65536, scaled to 4096 \(6000h bit 2, 6001h\), expected 131072; set plant",
