@@ -215,7 +215,7 @@ def new_state(
 
 
 def analogue_places(settings: CanopenSettings) -> dict[int, int]:
-    """Return the indices into `analogue` by sub-index of 6401h, 0 for what is not fitted."""
+    """Return the indices into `analogue` by sub-index of 6401h; 0 is a missing sensor."""
     return {0: NOWHERE} | {
         channel: ANALOGUE_IN_ONE * (group.number - 1) + k
         for group in analogue_groups(settings)
@@ -224,7 +224,7 @@ def analogue_places(settings: CanopenSettings) -> dict[int, int]:
 
 
 def warm_up(state: np.ndarray[Any, Any], readings: np.ndarray[Any, Any]) -> None:
-    """Compile what the driver calls: during the startup it would hold the tick, or trip a watchdog."""
+    """Compile the functions for the driver: during the startup that would hold it, or trip a watchdog."""
     scratch = state.copy()
     begin_sync(scratch, 0.0, 0.0)
     take_frame(scratch, 0, 0)
