@@ -145,7 +145,7 @@ def configuration() -> Configuration:
 
 @pytest.fixture(scope="session")
 def default_profile() -> Profile:
-    """Return the shipped profile that is used unless another is named."""
+    """Return the default profile."""
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 

@@ -31,7 +31,7 @@ SLOW = {"shoulder": 2.7, "arm": 2.0, "wrist": 3.9}
 """Speed below which the joint is stopped (rad/s). With valves as open as homing may it passes 6, 3 and 9."""
 HOMING, ENCODER, VALVE = 4.5, 5.5, 7.5
 """Max speeds of the head until the robot rests again (m/s). Seen: 4.1 while homing; while arming 5.1 with a
-reversed encoder, 7.2 with a reversed valve, whose chambers the precharge has begun to fill. A robot without a
+reversed encoder, 7.2 with a reversed valve, whose chambers the precharge was filling. A robot without a
 fault reaches 5.6 where friction lets a joint go. A brake by the reversed encoder reaches 39."""
 
 CASES = [

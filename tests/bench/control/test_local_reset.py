@@ -1,4 +1,4 @@
-"""The local reset button: only a press after the stop, from outside, counts; SECURE locks nobody in."""
+"""The local reset button: only a press after the stop, from outside, counts; SECURE locks no one in."""
 
 from __future__ import annotations
 

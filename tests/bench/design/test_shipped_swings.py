@@ -13,7 +13,7 @@ from bench.control.moves.braking import lifted_angle
 from bench.design.optimal_control import SwingDemand
 from bench.design.static_checks import profile_faults
 from bench.design.stop_verification import TRIALS, SwingCheck
-from bench.simulation.simulated_bench import simulate_swing, simulate_swings
+from bench.simulation.simulated_bench import PoweredBench, simulate_swing
 from bench.swing.golfers import GOLFERS
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import load_profile
@@ -52,7 +52,9 @@ def test_shipped_swing_delivers_as_demanded(name: str) -> None:
 @pytest.mark.parametrize("name", release_except(SAMPLE, DEMANDS))
 def test_shipped_swing_missed_ball_keeps_stop_energy(name: str) -> None:
     bench = mounted(name)
-    (missed,) = simulate_swings(bench, [None])
+    powered = PoweredBench(bench)
+    assert powered.arm()
+    missed = powered.swing(None)
     assert missed.cause == Cause.NONE
     assert np.all(missed.loads.stop_energy <= [[a.stop.energy] for a in bench.plant.actuators])
 
