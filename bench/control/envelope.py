@@ -158,9 +158,9 @@ def _clearance_cause(p: Any, robot: Any, angle: Any, low: float) -> int:
 
 @compiled
 def limit(parameters: Any, wanted: float, before: float, measured_step: float) -> float:
-    """Return the opening that may go to a valve: bounded, slew-limited; the centre if not finite.
+    """Return the valve command within range and slew limit; 0 if `wanted` is not finite.
 
-    A clock that stands still, runs backwards or gives no number lets the valve stay where it was.
+    While the clock stands still, runs backwards or is not finite, the command keeps its value `before`.
     """
     p = parameters[0]
     if not np.isfinite(wanted):

@@ -29,9 +29,9 @@ from bench.control.states import disarm, react
 from drivers.base.compiled import compiled
 
 _LOST_SUPPLY = 0.5
-"""Share of the least supply pressure of a swing below which a manifold is not fed."""
+"""Fraction of the least supply pressure of a swing below which a manifold is not fed."""
 _TIMER = 0.8
-"""Share of the shut-off valve's delay for which it is sure to be open: its timer is pneumatic."""
+"""Fraction of the shut-off valve's delay for which it is sure to be open: its timer is pneumatic."""
 
 
 @compiled

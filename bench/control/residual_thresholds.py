@@ -63,7 +63,7 @@ MIN_RELEVANT_TEE_SHIFT = 0.013
 """Shift of the tee (m) towards heel or toe from which on it makes limits stale: nearer, the joints' speeds
 after the blow differ by less than a third of what their comparison allows for."""
 SHARE = 0.02
-"""Share by which a value of the plant may differ: less than the tolerances of the drawn robots."""
+"""Fraction by which a value of the plant may differ: less than the tolerances of the sampled robots."""
 TOLERANCES: Values = {
     "robot.club.tee_shift": 0.999 * MIN_RELEVANT_TEE_SHIFT,
     "robot.club.face_angle": 0.02,
@@ -76,7 +76,7 @@ TOLERANCES: Values = {
     **{f"{joint}.valve.centre": 0.005 for joint in ACTUATOR_KEYS},
     **{f"{joint}.valve.dead_band": 0.002 for joint in ACTUATOR_KEYS},
 }
-"""Min relevant difference of a value of the plant, where a share says nothing (m, rad, s, openings)."""
+"""Min relevant difference of a plant value for which a fraction means nothing (m, rad, s, valve command)."""
 
 
 class LimitsFingerprint(NamedTuple):
@@ -156,7 +156,7 @@ def _differing(made: Values, here: Values, share: float) -> str:
 
 
 def _alike(made: Any, here: Any, share: float, least: float) -> bool:
-    """Return whether two values are the same within a share of them, or `least`."""
+    """Return whether two values are the same within the fraction `share` of them, or within `least`."""
     if isinstance(made, list) and isinstance(here, list):
         pairs = zip(made, here, strict=False)
         return len(made) == len(here) and all(_alike(a, b, share, least) for a, b in pairs)

@@ -334,11 +334,11 @@ class EnvelopeSettings:
 _CREEP = 1e-3
 """Min travel of a joint that does not count as rest, rad; more for coarse or noisy encoders."""
 _HELD_BY_AIR = 0.2
-"""Share of a joint's static friction that the air of a chamber which holds nothing up may carry."""
+"""Max force of a chamber that counts as empty, as a fraction of the joint's static friction."""
 _RESOLVED = 3.0e3
 """Pressure over the atmosphere that a sensor is sure to show (Pa)."""
 _ZERO_SHARE = 0.75
-"""Share of that pressure that the error of a sensor's zero may take: the rest is noise and leakage."""
+"""Fraction of that pressure allowed for a sensor's zero error: the rest is noise and leakage."""
 _FOLLOWED = {phase.name.lower(): phase for phase in Phase if phase not in (Phase.STANDING, Phase.IMPACT)}
 _WATCHED = _FOLLOWED | {"impact": Phase.IMPACT}
 MODEL_PHASES = {kind: _WATCHED | ({"standing": Phase.STANDING} if kind == "jump" else {}) for kind in KINDS}

@@ -137,7 +137,7 @@ def _note_lost_index(s: Any, readings: Any) -> None:
 
 @compiled
 def decide_tick(state: ControlState, parameters: ControlParameters, readings: Any, time: float) -> None:
-    """Answer the request, advance swing or move, monitor, change state, and set the desired openings."""
+    """Answer the request, advance swing or move, monitor, change state and set desired valve commands."""
     s = state.control[0]
     if not np.isfinite(time):
         time = s.time
@@ -175,7 +175,7 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
 def limit_tick(
     state: ControlState, parameters: ControlParameters, readings: Any, command: Any, cycle: Any
 ) -> None:
-    """Bound the desired openings, and write COMMAND and the tick's CYCLE record."""
+    """Bound the desired valve commands, and write COMMAND and the tick's CYCLE record."""
     s, p, c = state.control[0], parameters.control[0], command[0]
     centre = parameters.plant[0].centre
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE and s.time >= s.air_from:
@@ -189,7 +189,7 @@ def limit_tick(
         else:
             if s.phase == Phase.HOMING:
                 s.desired[i] = bounded(p, s.desired[i])
-            s.desired[i] += centre[i]  # openings above are from the spool's known centre, a command is not
+            s.desired[i] += centre[i]  # until here relative to the spool's known centre
             s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], s.measured_step)
         c.valve[i] = s.applied[i]
     c.supply_enable = c.exhaust_closed = powered

@@ -76,7 +76,7 @@ FIRST_MOTION = _nested(
     ("answered", "u1", (3,)),  # the joint moved along since power-up and the guard's last opening
     ("way", "f8", (3,)),  # direction in which its reference moves, or 0
     ("start", "f8", (3,)),  # rad: where that began
-    ("bound", "f8", (3,)),  # opening beyond the dead band that its valve is allowed
+    ("bound", "f8", (3,)),  # max valve command beyond the dead band
 )
 """Memory of `bench.control.moves.first_motion`."""
 
@@ -138,9 +138,9 @@ EXHAUSTS = _nested(
 
 SPOOLS = _nested(
     ("fitted", "u1", (3,)),  # the valve has reported its spool's position
-    ("spool", "f8", (3,)),  # modelled opening
+    ("spool", "f8", (3,)),  # modelled spool position
     ("spool_speed", "f8", (3,)),  # 1/s: its rate
-    ("recent", "f8", (4, 3)),  # modelled openings of this and the ticks before, the latest first
+    ("recent", "f8", (4, 3)),  # modelled spool positions of this and the ticks before, the latest first
     ("late", "f8", (3,)),  # s for which the position has been off the model
     ("wrong", "u1", (3,)),  # off the model for too long, and not back on it since
 )
@@ -155,7 +155,7 @@ LOCK = _nested(
 ADDRESS_AIR = _nested(
     ("held", "u1", (3,)),  # the joint is in its band: its valve serves its air
     ("swung", "u1", (3,)),  # its spool is being swung
-    ("trim", "f8", (3,)),  # opening that keeps its pressure difference
+    ("trim", "f8", (3,)),  # valve command that keeps its pressure difference
     ("good", "f8"),  # s: when the air was last not as planned
     ("since", "f8"),  # s: since when it is waited for
     ("ready", "?"),  # a swing may begin
@@ -166,7 +166,7 @@ MOVE = _nested(
     ("start", "f8"),  # s
     ("duration", "f8"),  # s
     ("origin", "f8", (3,)),  # rad
-    ("gain", "f8", (3,)),  # opening per rad/s of reference speed, of the last tick's pose
+    ("gain", "f8", (3,)),  # valve command per rad/s of reference speed, of the last tick's pose
     ("arm_first", "?"),  # arm and wrist move before the shoulder
 )
 """Memory of `bench.control.moves.motion`: the slow move under way."""
@@ -223,9 +223,9 @@ CONTROL_STATE = np.dtype(
         ("reference", "f8", (3,)),  # rad
         ("reference_velocity", "f8", (3,)),  # rad/s
         ("reference_acceleration", "f8", (3,)),  # rad/s2
-        ("feed_forward", "f8", (3,)),  # opening
-        ("desired", "f8", (3,)),  # opening
-        ("applied", "f8", (3,)),  # opening, within the limits
+        ("feed_forward", "f8", (3,)),  # valve command
+        ("desired", "f8", (3,)),  # valve command
+        ("applied", "f8", (3,)),  # valve command, within the limits
         ("head", "f8", (6,)),  # x, y, theta (m, m, rad) and their speeds
         ("clearance_relief", "f8"),  # m less than the clearance that are enough, of a head that rested low
         ("filtered_velocity", "f8", (3,)),  # rad/s by which rest is judged
@@ -267,7 +267,7 @@ PROFILE = np.dtype(
 )
 """`air_planned`: whether the chambers have planned pressures at the address: `air` (Pa) where the supply has
 `air_supply` (Pa). `dither_amplitude` are the valve commands to either side of the dither there, in
-`dither_period` (3,) s; `dither_duty` is the mean share of the stroke to each side that comes of it."""
+`dither_period` (3,) s; `dither_duty` is the resulting mean fraction of the stroke to each side."""
 
 
 class ControlState(NamedTuple):
@@ -307,7 +307,7 @@ class ControlParameters(NamedTuple):
     force_rate: Any
     """(n, 3) N/s, N m/s"""
     blind_brake: Any
-    """(m, 6) openings and durations (s)."""
+    """(m, 6) valve commands and durations (s)."""
 
 
 def new_control_state(state: State = State.READY) -> ControlState:

@@ -102,7 +102,7 @@ def needed_torques(robot: Any, e: Any) -> tuple[tuple[float, float, float], floa
 
 @compiled
 def move_spool(m: Any, p: Any, wanted: float, i: int, halves: int) -> None:
-    """Move spool `i` of `m` by some half substeps, exactly for an opening `wanted` held over them."""
+    """Advance spool `i` of `m` by `halves` half substeps; exact for a constant valve command `wanted`."""
     for _ in range(halves):
         offset, rate = m.spool[i] - wanted, m.spool_speed[i]
         m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
@@ -122,7 +122,7 @@ def observe_air(
     step: float,
     free: bool,
 ) -> None:
-    """Move the observer `a` on by `step` s under the openings `applied` since the last tick.
+    """Advance the observer `a` by `step` s under the valve commands `applied` since the last tick.
 
     `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS. `exhaust_closed`
     was commanded in the last tick; `vent` is the conductance of a chamber's vents (m3/(s Pa)). `free`: only

@@ -120,7 +120,7 @@ def observe(
     braking: bool,
     step: float,
 ) -> None:
-    """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
+    """Advance the observer `m` by `step` s under the last valve commands `applied`; set residuals.
 
     `estimator`, `indexed` (3,) of ENCODER_STATE, `readings` and `head` (6,) of `head_motion` are this tick's,
     `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS. `vent` is the

@@ -1,12 +1,12 @@
 """Feed-forward valve commands: planned by the profile, or computed from the robot's model.
 
-planned         the profile's openings, found for this very loop on the nominal plant
+planned         the profile's valve commands, found for this very loop on the nominal plant;
 kane            a spool meters flow, and flow changes the force: the rate of the force that Kane's equations
                 demand and the speed of the motion, each with a constant gain, that of half a stroke and of
-                chambers evenly charged
-kane+pneumatic  the opening whose air flow changes the force as demanded: chamber equations and the valve's
-                flow (ISO 6358) solved for the spool, dead band and leakage included, at the pressures that
-                `bench.control.estimate.air` observes
+                chambers evenly charged;
+kane+pneumatic  the valve command whose air flow changes the force as demanded: chamber equations and the
+                valve's flow (ISO 6358) solved for the spool, dead band and leakage included, at the pressures
+                that `bench.control.estimate.air` observes.
 
 All pure; the demanded forces and their rates are tables (`bench.control.law.force_reference`).
 """
@@ -29,17 +29,17 @@ CODES: tuple[FeedForward, ...] = ("none", "planned", "kane", "kane+pneumatic")
 NONE, PLANNED, KANE, PNEUMATIC = range(4)
 
 _CHARGED = 0.75
-"""Share of the supply's pressure that charging leaves in the chambers."""
+"""Chamber pressure after the precharge, as a fraction of the supply pressure."""
 _EASED = 0.01
-"""Share of the stroke over which the jump across the dead band is spread: no chatter around zero."""
+"""Fraction of the stroke over which the jump across the dead band is spread: no chatter around zero."""
 
 
 @compiled
 def force_rates(p: Any, i: int, pressure: Any, position: float, speed: float) -> tuple[float, float, float]:
-    """Return the force rates of actuator `i` (N/s, shoulder N m/s): spool centred; added by full openings.
+    """Return three force rates of actuator `i` (N/s, shoulder N m/s): spool centred; added by commands 1, -1.
 
-    `pressure` (13,) Pa as in AIR_STATE. The first is that of motion and leakage; the second is added by the
-    opening 1, the third by -1 (negative), both beyond the dead band and in proportion.
+    `pressure` (13,) Pa as in AIR_STATE. The first rate is that of motion and leakage. The valve command 1
+    adds the second, -1 the third (negative); commands beyond the dead band add in proportion.
     """
     pa, pb, supply, atmosphere = pressure[6 + 2 * i], pressure[7 + 2 * i], pressure[12], p.atmosphere
     edge, ratio, leak = p.conductance[i], p.critical_ratio[i], p.leakage[i]
@@ -56,9 +56,9 @@ def force_rates(p: Any, i: int, pressure: Any, position: float, speed: float) ->
 
 @compiled
 def opening_for(p: Any, i: int, rates: tuple[float, float, float], wanted: float) -> float:
-    """Return the opening with which the force of actuator `i` changes at `wanted`; `rates` of `force_rates`.
+    """Return the valve command, -1 to 1, with which the force of actuator `i` changes at the rate `wanted`.
 
-    Within -1 to 1 of the stroke.
+    `rates` are those of `force_rates`.
     """
     still, up, down = rates
     missing = wanted - still
@@ -75,7 +75,7 @@ def opening_for(p: Any, i: int, rates: tuple[float, float, float], wanted: float
 def pneumatic_opening(
     p: Any, robot: Any, i: int, air: Any, angle: Any, velocity: Any, force: float, rate: float, gain: float
 ) -> float:
-    """Return the opening of actuator `i` for a demanded `force` and its `rate` at the observed pressures.
+    """Return the valve command of actuator `i` for a `force` and its `rate` at the observed pressures.
 
     `angle`, `velocity` (3,) are the reference's; the force error is corrected at the rate `gain` (1/s).
     """

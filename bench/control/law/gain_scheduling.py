@@ -1,12 +1,12 @@
 """Gains from the machine: poles of each joint's loop, placed on the robot's linear model, pose by pose.
 
-A spool lets air in, air moves the joint against its own spring: with joint and air at rest a spool moves
-joint i, the others held, by
+The spool position u admits air, and air moves the joint against the air's own spring. From rest, with the
+others held, joint i moves by:
 
     q''' + c q'' + k b q' = b u
 
-c is the friction's damping (1/s), b the jerk per spool opening (rad/s3), 1 / k the steady joint speed per
-opening (rad/s). Damping, derivative and proportional gains make it
+c is the friction's damping (1/s), b the jerk at u = 1 (rad/s3). 1 / k is the steady joint speed at u = 1
+(rad/s). Damping, derivative and proportional gains make it
 
     q''' + a2 q'' + a1 q' + a0 (q - reference) = 0
     a2 = the joint's bandwidth, a1 = max(k b, shape a2^2), a0 = stiffness a1 a2 / 4
@@ -54,7 +54,7 @@ Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 _ENDS = 0.02
-"""Share of the travel at either end that the grid leaves out: gas in a chamber is stiffest there."""
+"""Fraction of the travel at either end that the grid leaves out: gas in a chamber is stiffest there."""
 _JUDGED = (1, 2, 2)
 """Every so many poses of the grid bandwidths are chosen by."""
 _COARSE = 2 * np.pi * np.geomspace(1.0, 450.0, 160)
@@ -67,13 +67,13 @@ _BEGIN = (
 )
 """Rates times delay, and shapes, that searches begin with; a later one where those before fail."""
 _KEPT = 1.05
-"""Share of the required margins that is kept where it is judged: between those poses it may be less."""
+"""Factor on the required margins at the evaluated poses: between them margins may be lower."""
 _SHAPES = (0.125, 4.0)
 """Range of the shapes; above it joints follow a little more stiffly and oscillate for longer."""
 _STEPS = (1.4, 1.12)
 _TOGETHER = ((0,), (1,), (2,), (0, 1, 2), (0, 1), (0, 2), (1, 2))
 _INTEGRAL = 0.125
-"""Rate of the integral, as a share of that of the loop's slowest pole."""
+"""Rate of the integral, as a fraction of that of the loop's slowest pole."""
 _OPENED = 1.2
 """Required movement of the spool, in dead bands, that the max error at the address leads to."""
 
@@ -100,10 +100,10 @@ Bandwidths = tuple[Bandwidth, Bandwidth, Bandwidth]
 
 
 class WorstMargin(NamedTuple):
-    """The margin with the lowest share of the required one."""
+    """The margin with the lowest ratio to the required one."""
 
     share: float
-    """Share of the required one; negative where a mode grows."""
+    """Ratio to the required margin; negative where a mode grows."""
     name: str
     value: float
     """Factor, rad, s or damping ratio."""
@@ -122,7 +122,7 @@ class MachineGains(NamedTuple):
     delay: Array
     """(3,) s, of spool, reading and tick."""
     worst: WorstMargin
-    """Over the poses by which the bandwidths were chosen; with a share below 1 the machine forbids more."""
+    """Worst margin at the poses that set the bandwidths; a ratio below 1: the machine allows no more."""
 
 
 class JointChains(NamedTuple):
@@ -240,7 +240,7 @@ def _worst(
     period: float,
     at_least: float = -np.inf,
 ) -> WorstMargin:
-    """Return the worst margin over `poses`, by its share of the required one.
+    """Return the worst margin over `poses`, by its ratio to the required one.
 
     No more poses are tried once it is below `at_least`; the pose that was worst is the first next time.
     """
@@ -262,7 +262,7 @@ def worst_margin(
     period: float,
     at_least: float = -np.inf,
 ) -> WorstMargin:
-    """Return the worst margin of the loops with `gains` at one instant, by its share of the required one.
+    """Return the worst margin of the loops with `gains` at one instant, by its ratio to the required one.
 
     `estimated` is the `estimator_response`. Once a margin is below `at_least` the damping is not looked at.
     """

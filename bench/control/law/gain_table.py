@@ -20,7 +20,7 @@ Triple = tuple[float, float, float]
 
 
 class Gains(NamedTuple):
-    """Opening per rad, rad s, rad/s and rad/s2; and per rad/s of the reference in slow moves."""
+    """Valve command per rad, rad s, rad/s and rad/s2; and per rad/s of the reference in slow moves."""
 
     proportional: Triple
     integral: Triple
@@ -121,7 +121,7 @@ def supply_factor(supply: float, pressure: float) -> float:
 
 @compiled
 def _cell(angle: float, lower: float, spacing: float, count: int) -> tuple[int, float]:
-    """Return the pose below `angle` and the share of the way to the next one."""
+    """Return the pose below `angle` and the fraction of the way to the next one."""
     position = (angle - lower) / spacing
     if not position > 0.0:
         return 0, 0.0

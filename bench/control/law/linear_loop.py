@@ -1,8 +1,8 @@
 """The robot with its air, linearised at an instant; its closed loops tick by tick, and their margins.
 
-The motion is frozen: angles, speeds, pressures and openings stay. Joints slide (dry friction has no slope),
-spools are beyond their dead band (where the dither carries them), end stops are not touched. Modes slower
-than `_MIN_FREQUENCY` are not judged: within a swing they do not come to show.
+The motion is frozen: angles, speeds, pressures and spool positions stay. Joints slide (dry friction has no
+slope), spools are beyond their dead band (where the dither carries them), end stops are not touched. Modes
+slower than `_MIN_FREQUENCY` are not judged: within a swing they do not come to show.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MOTION = 12
 """Angles, speeds, pressures."""
 _OPENED = 0.005
 _CHARGED = 0.75
-"""Share of the supply's pressure that charging leaves in the chambers."""
+"""Chamber pressure after the precharge, as a fraction of the supply pressure."""
 
 
 class OperatingPoint(NamedTuple):
@@ -42,7 +42,7 @@ class OperatingPoint(NamedTuple):
     supply: float
     opening: Array
     damping: float
-    """Share of the damping gain that acts here."""
+    """Fraction of the damping gain that acts here."""
     judged: bool
     """Whether the loop behaves as linearised here: the motion is slow, and dry friction does not hold it."""
 

@@ -45,7 +45,7 @@ def control(
     feed_forward: np.ndarray[Any, Any],
     dt: float,
 ) -> None:
-    """Compute one tick of all three controllers in place; arrays (3,) in rad, rad/s and openings.
+    """Compute one tick of all three controllers in place; arrays (3,) in rad, rad/s and valve commands.
 
     The gains are those in `state`. Allocates nothing and never raises. A non-finite input makes this tick's
     `output` NaN, for the envelope to see, and leaves the integral as it was.

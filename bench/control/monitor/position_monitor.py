@@ -62,7 +62,7 @@ def index_cause(s: Any, p: Any, encoder: Any, parameters: Any, e: Any) -> int:
 
 
 RECENT = 4
-"""Openings in the model's range: the present one and those of up to 3 ms ago at 1 kHz."""
+"""Spool positions that span the model's range: the present one and those up to 3 ms old at 1 kHz."""
 _MAX_STEP = 0.05
 """Longest time that one tick moves the model, s; no spool is under way for longer."""
 

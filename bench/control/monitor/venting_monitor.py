@@ -111,7 +111,7 @@ def _fallen(plant: Any, pressure: float, share: float, step: float) -> float:
 
 
 MIN_EXHAUST_SHARE = 1.0 / 3.0
-"""Share of an exhaust's assumed flow below which it is a fault."""
+"""Fraction of an exhaust's assumed flow below which the exhaust is faulty."""
 EXHAUST_MARGIN = 2e3
 """Margin between the bound and a violation (Pa): a sensor's noise and zero."""
 CHAMBERS = 6

@@ -45,7 +45,7 @@ _SLIPS = 2.0
 _CAUGHT = 8.0
 """Times `rest_speed` at which a joint may be caught."""
 _FIRM = 0.5
-"""Share of the dry friction by which a stuck joint's force may be off: beyond friction it slides."""
+"""Fraction of the dry friction by which a stuck joint's force may be off: beyond friction it slides."""
 _NEARER = 0.5
 """Fraction of the tolerance within which the dither of a spool ends."""
 _RATE = 6.0
@@ -58,11 +58,11 @@ whose valve is reversed."""
 _TRIM_RATE = 1.0
 """Rate at which the offset that keeps the difference, or loosens a late joint, is learned, 1/s."""
 _MAX_TRIM = 0.1
-"""Max offset of a spool from its centre, as an opening: beyond it the valve is faulty."""
+"""Max offset of a spool from its centre, as a valve command: beyond it the valve is faulty."""
 _MISSED = 1.5
 """Time after a move's end with a joint off its address (s): it alternately sticks and overshoots."""
 _REACH = 0.5
-"""Share of the hold's following limit within which such a joint is left to the hold."""
+"""Fraction of the hold's max following error within which such a joint is left to the hold."""
 _SETTLING = 0.1
 """Time for which pressures must be as planned with all spools at rest (s)."""
 _TIMEOUT = 6.0
@@ -208,9 +208,9 @@ def _push(state: Any, parameters: Any, i: int) -> float:
 
 @compiled
 def regulate_address_pressure(state: Any, parameters: Any, time: float) -> None:
-    """Set the desired openings (3,) of the hold: the PID's to the address, then those for the air.
+    """Set the desired valve commands (3,) of the hold: the PID's to the address, then those for the air.
 
-    `desired` holds the PID's openings.
+    At first `desired` holds the PID's valve commands.
     """
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
@@ -270,7 +270,7 @@ def regulate_address_pressure(state: Any, parameters: Any, time: float) -> None:
 
 @compiled
 def precharge(state: Any, parameters: Any, time: float) -> None:
-    """Command openings (3,) that precharge the chambers and bring forces to the joints' loads.
+    """Set valve commands (3,) that precharge the chambers and bring forces to the joints' loads.
 
     The chambers of an actuator are unequal: filled alike, the smaller one would push the joint away until the
     other has as much. And a vented robot rests by friction alone: near the ground it would slide onto it.

@@ -1,4 +1,4 @@
-"""The openings of BRAKE, PASSIVE and BLIND_BRAKE, and when a stop is over."""
+"""The valve commands of BRAKE, PASSIVE and BLIND_BRAKE, and when a stop is over."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def lifted_angle(plant: PlantParameters) -> float:
 
 @compiled
 def brake_opening(gain: float, damping: float, fade: float, velocity: float, acceleration: float) -> float:
-    """Return the opening that brakes a joint: air against the motion, eased off as it slows down.
+    """Return the valve command that brakes a joint: air against the motion, eased off as it slows down.
 
     The same law brakes the planned follow-through, with or without a ball, and every stop.
     """
@@ -41,7 +41,7 @@ def brake_opening(gain: float, damping: float, fade: float, velocity: float, acc
 
 @compiled
 def brake_openings(s: Any, p: Any, e: Any) -> None:
-    """Set the desired openings (3,) of the braking law."""
+    """Set the desired valve commands (3,) of the braking law."""
     for i in range(3):
         s.desired[i] = brake_opening(
             p.brake_gain[i], p.brake_damping[i], p.brake_fade_speed[i], e.velocity[i], e.acceleration[i]
@@ -71,7 +71,7 @@ def _rest_or_wait(s: Any, parameters: Any, e: Any, trusted: bool, time: float) -
 
 @compiled
 def brake(state: Any, parameters: Any, readings: Any, trusted: bool, time: float) -> None:
-    """Set the desired openings of BRAKE: air against the motion, until all joints rest.
+    """Set the desired valve commands of BRAKE: air against the motion, until all joints rest.
 
     Behind an open safety relay it ends when the vents open: spools would drop arms into an empty manifold.
     Where both vents report shut, as on a machine without that relay, it continues.
@@ -108,7 +108,7 @@ def _note_unseen(s: Any, encoder_timeout: float, e: Any) -> None:
 
 @compiled
 def brake_blind(state: Any, parameters: Any, time: float) -> None:
-    """Set the desired openings of BLIND_BRAKE: the profile's pattern by time alone, or BRAKE's where seen."""
+    """Set BLIND_BRAKE's valve commands: the profile's pattern by time, or BRAKE's where an encoder works."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     since = time - s.reaction_start
     longest = 0.0

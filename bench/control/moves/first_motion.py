@@ -19,7 +19,7 @@ from drivers.base.compiled import compiled
 _ANSWER = 0.05
 """Travel in the reference's direction that counts as a joint's response (rad)."""
 _MIN_OPENING = 0.005
-"""Opening beyond the dead band at first."""
+"""Initial bound of a valve command beyond the dead band."""
 _GROWTH, _LIFT = 0.02, 0.12
 """Growth of the bound while the reference moves, before and after the answer (1/s): chambers that are hardly
 charged would throw a joint whose valve opens at once."""
@@ -61,7 +61,7 @@ def is_free(s: Any, p: Any, i: int) -> bool:
 
 @compiled
 def bound_first(s: Any, p: Any, i: int, opening: float) -> float:
-    """Return the `opening` of joint `i` within its bound; NaN stays NaN, for the envelope."""
+    """Return the valve command `opening` of joint `i` within its bound; NaN stays NaN, for the envelope."""
     free = s.first_motion.answered[i] != 0 and is_free(s, p, i)
     if free or not (s.moving or s.phase == Phase.HOMING) or not np.isfinite(opening):
         return opening

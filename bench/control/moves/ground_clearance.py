@@ -15,8 +15,8 @@ ground. So another actuator acts for 0.03 s to 0.1 s:
 - arm fault: the shoulder's braking chamber exhausts, and does not throw the club back;
 - wrist fault: the right arm pulls in, in addition to the brake.
 
-PASSIVE still cuts the supply: chambers lose air, or receive the rest in the manifold. Openings and times were
-found on the plant, `bench/manual/control/architecture.md`.
+PASSIVE still cuts the supply: chambers lose air, or receive the rest in the manifold. Valve commands and
+times were found on the plant, `bench/manual/control/architecture.md`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from drivers.base.compiled import compiled
 from sim.kinematics import head_motion
 
 OPENINGS = ((nan, 0.0, -0.4), (0.4, nan, 0.0), (0.0, -1.0, nan))
-"""Openings of shoulder, arm and wrist, by the joint that does not obey; NaN: as the reaction sets it."""
+"""Valve commands of shoulder, arm and wrist, by the faulty joint; NaN: as the reaction sets it."""
 TIMES = (0.03, 0.10, 0.06)
 """Duration from the start of the reaction, by that joint (s)."""
 _SLACK = 0.001
@@ -115,7 +115,7 @@ def disobeying(cause: int) -> int:
 
 @compiled
 def escape(s: Any, p: Any, time: float) -> None:
-    """Set the desired openings that keep the head off the turf at `time` (s), and `turf_override`."""
+    """Set the desired valve commands that keep the head off the turf at `time` (s), and `turf_override`."""
     for i in range(3):
         s.turf_override[i] = 0
     joint = disobeying(s.latest_cause)

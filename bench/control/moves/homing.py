@@ -12,7 +12,7 @@ bounded by travel, time, speed and following error instead. The encoder itself s
 index; the angle, from there on the joint's, is taken over without a jump of the velocity
 (`bench.control.step.estimate_tick`).
 
-No output of the bench lowers the supply's pressure. The openings of the valves are bounded instead. This
+No output of the bench lowers the supply's pressure. The valve commands are bounded instead. This
 bounds the flow and so the speed at which a joint can move, not the force at which it presses against an
 obstacle; the following error ends that.
 """
@@ -33,7 +33,7 @@ RAMP = 0.3
 """Time from rest to the speed of the search (s)."""
 
 _FIRM = 0.8
-"""Share of the lead at which a joint counts as pressed."""
+"""Fraction of the lead at which a joint counts as pressed."""
 _RESTS = 0.005
 """Max movement of a resting joint (rad)."""
 _PRESSED = 0.001
@@ -43,7 +43,7 @@ _OVERSHOOT = 0.03
 _BEYOND = 0.1
 """Angle beyond the travel in which a searching joint comes to rest before it turns round (rad)."""
 _EASE = 0.4
-"""Share of the lead that pulls a joint off its stop: a full chamber throws it the harder the more it lags."""
+"""Fraction of the lead that pulls a joint off its stop: a full chamber throws a lagging joint harder."""
 _LEASH = 1.5
 """Max lead, as a multiple of `stop_contact_lead`, while filling chambers push a joint. The search then starts
 at its angle: drawn back, it would be thrown, and the wrist would swing faster than homing allows."""
@@ -200,7 +200,7 @@ def _go_back(s: Any, p: Any, e: Any, time: float, measured_step: float) -> bool:
 
 @compiled
 def bounded(p: Any, opening: float) -> float:
-    """Return `opening` within the limits of the search; NaN stays NaN, for the envelope."""
+    """Return the valve command `opening` within the limits of the search; NaN stays NaN, for the envelope."""
     return min(max(opening, -p.home_opening), p.home_opening) if np.isfinite(opening) else opening
 
 

@@ -1,4 +1,4 @@
-"""The desired openings of a swing, a slow move, the search for an index and the hold at the address."""
+"""The desired valve commands of a swing, a slow move, an index search and the hold at the address."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from drivers.base.compiled import compiled
 
 @compiled
 def follow(state: Any, parameters: Any, time: float, measured_step: float) -> None:
-    """Move the swing, the slow move, the search or the hold on and compute the desired openings."""
+    """Advance the swing, slow move, search or hold and compute the desired valve commands."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     if s.swinging:
         _follow_swing(state, parameters, time)
@@ -91,7 +91,7 @@ def _follow_swing(state: Any, parameters: Any, time: float) -> None:
 
 @compiled
 def _control_openings(state: Any, parameters: Any, time: float, measured_step: float) -> None:
-    """Set the desired openings (3,): PID, feed-forward, damping, charging and dither."""
+    """Set the desired valve commands (3,): PID, feed-forward, damping, charging and dither."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     _take_gains(s, p, state.pid[0], parameters.pid[0])
     if s.swinging and p.feed_forward >= KANE:
@@ -143,7 +143,7 @@ def _take_gains(s: Any, c: Any, d: Any, p: Any) -> None:
 
 @compiled
 def _serve_air(state: Any, parameters: Any, time: float) -> None:
-    """Change the desired openings (3,) where the air comes to its planned pressures."""
+    """Adjust the desired valve commands (3,) in phases that regulate the chamber pressures."""
     s = state.control[0]
     if s.phase == Phase.HOLD and not s.swinging:
         regulate_address_pressure(state, parameters, time)

@@ -23,7 +23,7 @@ _PRESSED = 0.83
 """Fraction of the depth at full supply pressure to which homing presses a joint: 0.77 to 0.95 on simulated
 plants, which is within 0.7 mrad."""
 _MIN_SHARE = 0.4
-"""Share of the head's tolerance that is left to the zeros where stops are soft."""
+"""Fraction of the head's tolerance that is left to the zeros where stops are soft."""
 _STEP = 1e-5
 """Step of joint angles in derivatives (rad)."""
 

@@ -1,8 +1,9 @@
 """Chamber pressures that a profile plans for its address: the balance under load with a dithered spool.
 
-A spool may fill one chamber for a share of the time and exhaust the other meanwhile. This drives each chamber
-to the pressure at which its inflow and outflow are equal. One share gives the force that holds the joint at
-the address without friction. Its pressures are planned, as the robot reaches and keeps them automatically.
+A spool may fill one chamber for a fraction of the time and exhaust the other meanwhile. This drives each
+chamber to the pressure at which its inflow and outflow are equal. One fraction gives the force that holds the
+joint at the address without friction. Its pressures are planned, as the robot reaches and keeps them
+automatically.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ _PERIOD, _QUICK = 0.012, 2.0 * pi * 100.0
 """Time between two changes of side that lead the same way (s), for spools of at least this natural frequency
 (rad/s)."""
 _MAX_AMPLITUDE = 0.4
-"""Max dither amplitude of a spool, as an opening."""
+"""Max dither amplitude of a spool, as a valve command."""
 _HARMONICS = 30
 """Limit of the harmonics of a square wave; a spool follows the first few."""
 _MIN_SHARE, _MAX_SHARE = 0.02, 0.98
-"""Shares of time between which a load must be held."""
+"""Min and max fraction of time in which a chamber is filled to hold a load."""
 
 
 def with_planned_air(profile: Profile, plant: PlantParameters) -> Profile:
@@ -102,7 +103,7 @@ def dither_periods(plant: PlantParameters) -> Array:
 
 
 def dither_duties(plant: PlantParameters, widths: Array) -> Array:
-    """Return the mean share of the stroke (3,) that a spool dithered by `widths` (3,) opens to each side.
+    """Return the mean fraction of the stroke (3,) that a spool dithered by `widths` (3,) opens to each side.
 
     This is the mean beyond the dead band over a whole period of the spool's second-order model, from the
     square wave's Fourier series.

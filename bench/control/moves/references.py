@@ -1,4 +1,4 @@
-"""References of the swing and of slow moves, and the openings that are known beforehand.
+"""References of the swing and of slow moves, and their feed-forward valve commands.
 
 All pure but for the control record `s`, which they set: `s.reference`, its derivatives and `s.feed_forward`.
 """
@@ -107,7 +107,7 @@ def square_wave(periods: float) -> float:
 
 @compiled
 def feed_model_forward(state: Any, parameters: Any, time: float) -> None:
-    """Set the feed-forward of the swing at `time` from the demanded forces, not the planned openings."""
+    """Set the swing's feed-forward at `time` from the demanded forces, not the planned valve commands."""
     s, p, profile = state.control[0], parameters.control[0], parameters.profile[0]
     machine, force, rate = parameters.plant[0], parameters.force, parameters.force_rate
     k = min(s.swing.sample, profile.samples - 2)
