@@ -1,8 +1,8 @@
 """Blind brakes: patterns that stop the robot from each instant of a swing without encoders.
 
 From the nominal states at each row a compass search (Kolda, Lewis and Torczon 2003) looks for a pattern of
-openings and durations. It starts from centred spools and from the row's pattern of the starting swing. A
-candidate that is good enough is taken as it is. Rows for which none is found search on from the patterns of
+valve commands and durations. It starts from centred spools and from the row's pattern of the starting swing.
+A candidate that is good enough is taken as it is. Rows for which none is found search on from the patterns of
 the rows around them: the cost has many local minima, and a pattern for 20 ms later often stops the robot now.
 The search is deterministic.
 """
@@ -29,7 +29,7 @@ SPACING = 20
 _WATCHED = 0.9
 """Time for which a pattern is followed, s."""
 _MAX_DURATION = 0.4
-"""Longest duration of an opening, s."""
+"""Longest duration of a valve command (s)."""
 _GOOD = 0.35
 """Cost below which a candidate is taken: no load above half its rating, and it comes to rest."""
 _STEPS = (0.3, 0.12)
@@ -56,7 +56,7 @@ _COST = attrgetter("cost")
 def play_blind(
     robot: Any, plant: Any, impact: Any, state: Any, command: Any, pattern: Any, ticks: int
 ) -> tuple[float, float, float]:
-    """Apply a blind-brake `pattern` (6,): openings, durations (s); then spools centred.
+    """Apply a blind-brake `pattern` (6,): valve commands, durations (s); then spools centred.
 
     Returns lowest and highest theta1 (rad) and the mean speed over the last fifth (rad/s).
     """

@@ -3,9 +3,9 @@
 1. The chamber pressures at the address are planned. Simulating the nominal plant in closed loop from there
    to the top gives the initial state of the downswing.
 2. `optimal_control` plans the downswing by direct collocation within the machine's limits.
-3. `refine` corrects its openings on the plant until the head passes the ball as planned. The absorber loads
-   (ball struck, missed, or loss of communication) correct the energies that the plan may bring them; repeat
-   from 2.
+3. `refine` corrects its valve commands on the plant until the head passes the ball as planned. The absorber
+   loads (ball struck, missed, or loss of communication) correct the energies that the plan may bring them;
+   repeat from 2.
 4. `with_follow_through` makes references and feed-forward for the same downswing in closed loop, and the
    braking law finds the follow-through; `blind_brake` finds the patterns to stop it without encoders.
 5. `validate` must find the profile possible on this machine, as `golfbench check` does.
@@ -74,9 +74,9 @@ _SILENCES = (0.01, 0.02, 0.03, 0.045, 0.06)
 _INTERVALS = 40
 """Collocation intervals of the downswing."""
 _CORRECTED = 0.02, 0.06
-"""Shares of the valves' range that designed and given motions leave to the learned correction."""
+"""Fractions of the valves' range that designed and given motions leave to the learned correction."""
 _GIVES_WAY = Concessions(time=0.1, rise=np.deg2rad(3.0).item(), speed=12.0)
-"""Max concessions of a nearest swing: share of the longest downswing, rad of attack angle, m/s."""
+"""Max concessions of a nearest swing: fraction of the longest downswing, rad of attack angle, m/s."""
 _SHORT = 0.2
 """Shortfall or gain in speed below which the search for a nearest swing ends, m/s."""
 _SAG, _TURN_BACK = 0.05, 1.0
@@ -104,7 +104,7 @@ class DesignFailed(RuntimeError):
 
 
 class Downswing(NamedTuple):
-    """Openings found on the plant, and their wanted arrival."""
+    """Valve commands found on the plant, and their wanted arrival."""
 
     opening: Array
     """(n, 3), one row a tick."""
@@ -179,7 +179,7 @@ def _sketch(
 ) -> Profile:
     """Return a provisional profile: smooth reference from address to top, then hold.
 
-    With the PIDs' record `pid` its openings are those that move the joints on at the reference's speed.
+    With the PIDs' record `pid` its valve commands move the joints at the reference's speed.
     """
     period, site = parameters.tick, parameters.site
     n, hold = round(demand.backswing_time / period), round((demand.top_time + 0.5) / period)
@@ -268,7 +268,7 @@ def _problem(
 
 
 def wrist_range(parameters: PlantParameters, demand: SwingDemand) -> tuple[float, float]:
-    """Return the range of theta3 (rad) in which the wrist's lever has the demanded share of its length."""
+    """Return the range of theta3 (rad) in which the wrist's lever has the demanded fraction of its length."""
     dead, mounted = asin(demand.least_lever), parameters.wrist_lever_angle
     lowest, highest = 1.5 * pi + dead - mounted, 2.5 * pi - dead - mounted
     return max(parameters.wrist.lower, lowest), min(parameters.wrist.upper, highest)
@@ -588,7 +588,8 @@ def _into_the_loop(
     """Return the profile whose swing in closed loop delivers as `downswing` should.
 
     The aim is corrected by the loop's effect, until the head passes the ball as wanted. The effect is the
-    delivery in closed loop less that of the same openings alone, so the correction's remaining error cancels.
+    delivery in closed loop less that of the same valve commands in open loop. So the correction's remaining
+    error cancels.
 
     Raises:
         LoopFailed: the swing does not run, or misses the ball.

@@ -9,8 +9,8 @@ reach, a nearest swing gives way, in the downswing's time and the path's rise fi
 `gave_way` says where and by how much.
 
 A robot's swing is followed in the same way, more closely (`demand_near`). Without one to follow a plan takes
-the least opening of the valves, which leaves much of the head's speed to the wrist's release: what that
-delivers depends on its instant more than where the shoulder still drives.
+the smallest valve commands, which leaves much of the head's speed to the wrist's release. Its delivery
+then depends more on the instant of release than with a shoulder that still drives.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 
 _TIME = 0.9, 1.2
-"""Shortest and longest downswing, as shares of a robot's or Hunt's."""
+"""Shortest and longest downswing, as ratios to a robot's or Hunt's."""
 TEMPO = 0.004
 """Max difference of a downswing from the demanded time, or below a golfer's (s)."""
 SLOWER = 1.06
-"""Longest downswing as a share of a golfer's: a longer one stays behind the golfer. In the time of the
+"""Longest downswing as a ratio to a golfer's: a longer one stays behind the golfer. In the time of the
 fastest golfer a shoulder valve that sticks open overloads the arm's stop."""
 RUN_UP = 0.08
 """Time in which the shoulder reaches the golfer's speed before his or her top, 156 rad/s2 at the most (s)."""
@@ -49,7 +49,7 @@ pressed against its stop there is no plan. The wrist cocks no further than where
 _WRIST_INSIDE = 0.1
 """Distance of the wrist at the top from where its lever holds it (rad): the swing up ends up to 0.06 off."""
 _NEAR = 0.2
-"""Share of its ranges in which the deviation from a robot's swing is counted."""
+"""Unit of the deviation from a robot's swing, as a fraction of that swing's ranges."""
 _ROWS = 41
 """Poses of a robot's downswing."""
 

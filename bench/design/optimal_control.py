@@ -1,11 +1,11 @@
 """The downswing as an optimal control problem on arms and air, solved by direct collocation.
 
-States: joint angles and speeds, six chamber pressures, the manifold's pressure, three openings; controls:
-the rates of the openings. Radau collocation turns the differential equations into equality constraints of a
-sparse nonlinear program that IPOPT solves with exact derivatives from CasADi. Why collocation: the motion
-along the way is a separate unknown. A poor guess of the openings does not send the club somewhere else, as it
-does in shooting, and limits along the way (stops, lever, openings) are plain bounds. The same input gives a
-bit-identical answer.
+States: joint angles and speeds, six chamber pressures, the manifold's pressure, three valve commands;
+controls: the rates of the commands. Radau collocation turns the differential equations into equality
+constraints of a sparse nonlinear program that IPOPT solves with exact derivatives from CasADi. Why
+collocation: the motion along the way is a separate unknown. A poor guess of the valve commands does not send
+the club somewhere else, as it does in shooting. Limits along the way (stops, lever, valve commands) are plain
+bounds. The same input gives a bit-identical answer.
 
 The model is that of the plant with derivatives everywhere: dry friction, flow and metering edges are rounded
 off, spools follow at once, stops are bounds. `bench.design.refine` then works on the plant itself.
@@ -45,12 +45,12 @@ def load_casadi() -> Any:
 
 
 def require_planned_openings(control: ControlSettings) -> None:
-    """Raise BenchError unless `control` feeds the profile's openings forward."""
+    """Raise BenchError unless `control` feeds the profile's valve commands forward."""
     if control.feed_forward != "planned":
         raise BenchError(
             "control.feed_forward",
             repr(control.feed_forward),
-            '"planned": designing and learning change the planned openings',
+            '"planned": designing and learning change the planned valve commands',
             'Set feed_forward = "planned" for it.',
         )
 
@@ -85,7 +85,7 @@ _OPTIONS: dict[str, Any] = {
 }
 """Settings of the optimizer."""
 _SLEW = 150.0
-"""Max change of an opening, 1/s."""
+"""Max slew rate of a valve command (1/s)."""
 _RADAU = 2
 _FRICTION_WIDTH = 0.02
 """Speed over which dry friction changes its sign, m/s or rad/s times ten: a step in the plant."""
@@ -290,7 +290,7 @@ class SwingDemand:
     strike: float = 0.0
     """Ball off the face's centre along the cut of swing plane and face, m."""
     margin: float = 0.15
-    """Share of each valve that is left to feedback."""
+    """Fraction of each valve's range that is left to feedback."""
     struck_share: float = 0.8
     """Max fraction of the absorbers' rated energy when the ball is struck."""
     missed_share: float = 0.97
@@ -339,7 +339,7 @@ class DownswingProblem:
     theta_t: tuple[float, float]
     """Range of the shaft's angle at the ball, rad."""
     opening: float
-    """Max valve opening."""
+    """Max valve command."""
     shoulder: float
     """Min theta1 before the ball, rad."""
     shoulder_back: float
@@ -481,7 +481,7 @@ def solve_downswing(
             row = demand.follow[round(k * (len(demand.follow) - 1) / n)]
             if np.isfinite(row).all():
                 cost += ca.sumsqr((states[k][:3] - row) / demand.ranges) / n * 10.0
-        # Openings that jump are easy to plan and hard to follow.
+        # Valve commands that jump are easy to plan and hard to follow.
         cost += (
             sum(0.1 * ca.sumsqr(s[13:]) for s in states) / n + sum(1e-5 * ca.sumsqr(c) for c in controls) / n
         )

@@ -1,29 +1,29 @@
-"""A downswing on the plant itself: trials of its openings, their refinement, the backswing's feed-forward.
+"""Downswing on the plant itself: trials of valve commands, their refinement, the backswing's feed-forward.
 
 A trial applies valve commands until after the ball, on the plant with pneumatics, end stops, valves, friction
 and impact. No second model of the robot is needed. It gives the arrival of the head at the ball and the
 absorber loads: ball struck, ball missed, and loss of communication before the ball.
 
 Refinement of a planned downswing: least squares on the arrival at the ball. The collocation's model rounds
-off friction, edges and stops. Played on the plant, its openings bring the head to the ball a little early and
-low. Here a smooth correction of the openings, small by least squares, is found with which the plant passes
+off friction, edges and stops. Played on the plant, its valve commands bring the head to the ball a little
+early and low. Here a smooth correction of them, small by least squares, is found with which the plant passes
 the ball as planned: strike point, shaft, velocity and turning, which together are the three joints' speeds.
-The same input gives the same openings; a trial takes milliseconds.
+The same input gives the same valve commands; a trial takes milliseconds.
 
 Feed-forward of the backswing: iterative learning control in simulated iterations. The tracking error, mapped
-through the inverse of the loop, corrects the openings of the next iteration. On the linear model of
-`bench.control.law.gain_scheduling` an added opening u changes the error e of its joint, the others held, by
+through the inverse of the loop, corrects the valve commands of the next iteration. On the linear model of
+`bench.control.law.gain_scheduling` an added command u changes the error e of its joint, the others held, by:
 
     e''' / b + (m + c / b) e'' + (d + k) e' + p e = -u
 
-with the PIDs' proportional and derivative gains p and d, the damping m, and authority b, slowness k and
-friction c of the joint. Errors are smoothed over some periods of the dither, which moves the joints to and
-fro and is not to be undone.
+m is the PIDs' damping gain. p and d are their proportional and derivative gains. b, k and c are authority,
+slowness and friction of the joint. Errors are smoothed over some periods of the dither, which moves the
+joints to and fro and is not to be undone.
 
-The closed loop: openings found in the open loop are played on the plant while the whole control step listens.
-The estimates become the profile's reference, so that position and speed errors are zero, and the feed-forward
-is the opening less the output of integral and damping. On the nominal plant the feedback then has nothing to
-correct, whatever its gains; its whole share of the valves is left for deviations.
+The closed loop: valve commands found in the open loop are played on the plant while the whole control step
+listens. The estimates become the profile's reference, so that position and speed errors are zero. The
+feed-forward is the valve command less the output of integral and damping. On the nominal plant the feedback
+then has nothing to correct, whatever its gains; its whole range of valve commands is left for deviations.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Rehearsal:
         return np.concatenate([first, cycles]) if len(first) else cycles
 
     def play(self, valve: Array) -> tuple[NDArray[Any], Array]:
-        """Apply openings `valve` (n, 3) while the loop listens; return records and estimated acceleration."""
+        """Apply valve commands `valve` (n, 3), the loop listening; return records, estimated acceleration."""
         cycles, acceleration = self.bench.play(valve)
         self._require_running()
         return cycles, acceleration
@@ -107,7 +107,7 @@ class Rehearsal:
 def imprint(bench: SimulatedBench, opening: Array) -> Profile:
     """Return the bench's profile with references and feed-forward that make the loop apply `opening` (n, 3).
 
-    `opening` begins where the phase DOWNSWING does and ends where FOLLOW_THROUGH begins.
+    The valve commands `opening` begin where the phase DOWNSWING does and end where FOLLOW_THROUGH begins.
 
     Raises:
         LoopFailed: the swing does not run.
@@ -148,7 +148,7 @@ def _silent_velocity(
     The first row's reference is at rest, as at the top: the previous tick looks ahead to it, and a velocity
     there would begin the downswing with a jump. The estimated acceleration lags; damping against the
     reference's would otherwise open the valves by a good part of the stroke, more than a feed-forward at full
-    opening can take back.
+    valve command can take back.
     """
     away = np.zeros_like(velocity)
     away[0] = -velocity[0]
@@ -193,7 +193,7 @@ Array = NDArray[np.float64]
 SHAFT_DOWN = 3.5 * np.pi
 """theta_t of a shaft straight down, in the range the joints have there (rad)."""
 AFTER_CONTACT = 5
-"""Ticks for which the openings continue after impact before the braking law takes over."""
+"""Ticks for which the valve commands continue after impact before the braking law takes over."""
 _FOLLOWED = 0.25
 _SILENT_FOR = 0.12
 """Simulated time after loss of communication (s): by then the absorbers have taken their load."""
@@ -231,7 +231,7 @@ class ShootingTrial(NamedTuple):
 
 @compiled
 def swing_down(robot: Any, plant: Any, impact: Any, states: Any, command: Any, valve: Any) -> int:
-    """Play openings `valve` (n, 3) from `states[0]`; return the tick in which the head passes the ball, or n.
+    """Play valve commands `valve` (n, 3) from `states[0]`; return the tick of the head at the ball, or n.
 
     `states` (n + 1,) gets the plant's state at the start of each tick.
     """
@@ -259,9 +259,9 @@ def follow_plan(
     gains: Any,
     highest: float,
 ) -> None:
-    """Play openings `valve` (n, 3) with feedback on the joints of a plan, `angle` and `speed` (n, 3).
+    """Play valve commands `valve` (n, 3) with feedback on the joints of a plan, `angle` and `speed` (n, 3).
 
-    `gains` (n, 5, 3) are those along it. `valve` is overwritten with the openings played, at most `highest`.
+    `gains` (n, 5, 3) are those along it. `valve` is overwritten with the commands played, at most `highest`.
     """
     s = state[0]
     for k in range(len(valve)):
@@ -277,7 +277,7 @@ def follow_plan(
 def brake(
     robot: Any, plant: Any, impact: Any, state: Any, command: Any, valve: Any, law: Any, ticks: int
 ) -> None:
-    """Play openings `valve` (m, 3), then the braking `law` (BRAKE_LAW) for `ticks` ticks."""
+    """Play valve commands `valve` (m, 3), then the braking `law` (BRAKE_LAW) for `ticks` ticks."""
     s, b, period, before = state[0], law[0], plant[0].tick, np.zeros(3)
     for k in range(len(valve) + ticks):
         for i in range(3):
@@ -327,7 +327,7 @@ class Shooter:
         return states, command, int(swing_down(*self.plant.records, states, command, valve))
 
     def follow(self, valve: Array, angle: Array, speed: Array, gains: Array, highest: float) -> Array:
-        """Return openings (n, 3), at most `highest`, with which the plant keeps near a plan.
+        """Return valve commands (n, 3), at most `highest`, with which the plant keeps near a plan.
 
         `valve`, `angle`, `speed` (n, 3) are the plan's, one row a tick, `gains` (n, 5, 3) along it.
         """
@@ -337,7 +337,7 @@ class Shooter:
         return played
 
     def arrive(self, valve: Array) -> Arrival:
-        """Play openings `valve` (n, 3), one row a tick, to the ball's place."""
+        """Play valve commands `valve` (n, 3), one row per tick, to the ball's position."""
         states, command, contact = self._down(valve)
         last = min(contact, len(valve) - 1)
         # The plant itself finds where the face meets the ball; where the head misses it, `_passing` does.
@@ -412,9 +412,9 @@ _MET = 4
 NEAR = 10.0
 """Remaining error that is still accepted: the closed loop corrects the aim later."""
 _STAY = 0.3
-"""Weight of the correction's size (share of the stroke) relative to those errors."""
+"""Weight of the correction's size (fraction of the stroke) relative to those errors."""
 _PASSES = 3
-"""Number of passes; each starts from the openings of the one before and may go as far again."""
+"""Number of passes; each starts from the previous one's valve commands and may go as far again."""
 _ROUNDS = 30
 """Max number of rounds of a pass."""
 
@@ -436,12 +436,12 @@ def arrival_errors(arrival: Arrival, wanted: Array) -> Array:
 
 
 def refine(shooter: Shooter, plan: Array, wanted: Array, opening: float) -> Array:
-    """Return openings (n, 3), one row a tick, with which the plant arrives as `wanted` (`arrival_errors`).
+    """Return valve commands (n, 3), one row per tick, that make the plant arrive as `wanted`.
 
-    `plan` (n, 3) are the planned openings, `opening` the max one.
+    `plan` (n, 3) are the planned valve commands, `opening` the max one; `wanted` is as in `arrival_errors`.
 
     Raises:
-        NotReached: no such openings near the plan.
+        NotReached: no such valve commands near the plan.
     """
     left = np.full(len(wanted), np.inf)
     for _ in range(_PASSES):
@@ -457,7 +457,7 @@ def refine(shooter: Shooter, plan: Array, wanted: Array, opening: float) -> Arra
 
 
 def _corrected(shooter: Shooter, plan: Array, wanted: Array, opening: float) -> tuple[Array, Array]:
-    """Return openings, by least squares around `plan`, and the remaining errors in UNITS."""
+    """Return valve commands, by least squares around `plan`, and the remaining errors in UNITS."""
     period, ticks = shooter.plant.parameters.tick, len(plan)
     shape = (int(np.ceil(ticks * period / KNOT)), 3)
 
@@ -500,9 +500,9 @@ def _corrected(shooter: Shooter, plan: Array, wanted: Array, opening: float) -> 
 
 _REHEARSALS = 12
 _SHARE = 0.4
-"""Share of the inverse that is applied: with friction the error does not follow its linear model."""
+"""Fraction of the inverse that is applied: with friction the error does not follow its linear model."""
 _NEAR = 0.03
-"""Max error that is not worth another rehearsal, as a share of its limit."""
+"""Max error that is not worth another rehearsal, as a fraction of its limit."""
 _SMOOTHED = 4
 """Periods of the dither over which an error is smoothed."""
 _APART = 50
@@ -513,19 +513,19 @@ class Backswing(NamedTuple):
     """A rehearsed way to the top."""
 
     profile: Profile
-    """Profile with the learned openings."""
+    """Profile with the learned valve commands."""
     rehearsal: Rehearsal
     """The bench at the top."""
     cycles: NDArray[Any]
     """CYCLE records of the way."""
     error: float
-    """Max error in following it, as a share of its limit."""
+    """Max error in following it, as a fraction of its limit."""
 
 
 def learned_backswing(bench: SimulatedBench, pid: NDArray[Any], ticks: int, highest: float) -> Backswing:
     """Return the way up in the first `ticks` of the bench's profile, as closely followed as is learned.
 
-    `pid` is the PIDs' record, `highest` the max opening that is planned.
+    `pid` is the PIDs' record, `highest` the max planned valve command.
 
     Raises:
         LoopFailed: the envelope stops the first rehearsal, or the robot does not come to its address.
@@ -560,7 +560,7 @@ def _rehearsed(bench: SimulatedBench, ticks: int) -> Backswing:
 
 
 def _terms(bench: SimulatedBench, pid: NDArray[Any], angle: Array) -> Array:
-    """Return openings (4, n, 3) per rad, rad/s, rad/s2 and rad/s3 of error, along `angle` (n, 3) rad."""
+    """Return valve commands (4, n, 3) per rad, rad/s, rad/s2, rad/s3 of error, along `angle` (n, 3) rad."""
     plant, gains = build_plant(bench.plant), gains_along(pid, angle)
     at = np.arange(len(angle))
     rows = np.append(at[::_APART], at[-1])
@@ -580,7 +580,7 @@ def _terms(bench: SimulatedBench, pid: NDArray[Any], angle: Array) -> Array:
 
 
 def _missing(bench: SimulatedBench, terms: Array, cycles: NDArray[Any]) -> Array:
-    """Return the openings (n, 3) that would have undone the errors in `cycles`."""
+    """Return the valve commands (n, 3) that would have undone the errors in `cycles`."""
     from scipy.signal import savgol_filter  # here, for it takes long to import
 
     period = bench.profile.period

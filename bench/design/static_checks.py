@@ -34,19 +34,19 @@ from sim.pneumatics import FLOW_TO_PRESSURE, Actuator, Supply, flow, stop_force
 Array = NDArray[np.float64]
 
 PRESSURE_TOLERANCE = 0.01
-"""Share by which the supply may differ from the one the swing was designed for."""
+"""Fraction by which the supply may differ from the one the swing was designed for."""
 SLOPE_TOLERANCE = 0.5
 SLOPE_TIME = 0.010
 """Velocities may differ from the angles' slope by this (rad/s), and by more for this long (s)."""
 STEP_SHARE = 0.25
-"""Share of the envelope's following error that a step of the reference may use up."""
+"""Fraction of the envelope's max following error that a step of the reference may use up."""
 CONTACT_TOLERANCE = (0.08, 0.02)
 """Max distance along the path and in height between face and ball at the planned contact (m): it moves 4 cm
 in a tick."""
 EXCESS_SHARE = 0.05
 EXCESS_TIME = 0.005
-"""Force may exceed the air's bound by this share of the actuator's max force, and by more for this long (s):
-the tables are rounded, and differentiated here."""
+"""Force may exceed the air's bound by this fraction of the actuator's max force, and by more for this long
+(s): the tables are rounded, and differentiated here."""
 _SUBSTEPS = 4
 """Integration steps of the chamber pressures between two samples."""
 _PARTS = 10
@@ -341,7 +341,7 @@ def _valves(plan: MachineSwing) -> Check:
     k, joint = _peak(opening)
     if opening[k, joint] > limit:
         found, wanted = f"{opening[k, joint]:.3g}", f"at most {limit:g}, envelope.max_opening"
-        faults.append(plan.row(("valve", k, joint), found, wanted, "Reduce the opening."))
+        faults.append(plan.row(("valve", k, joint), found, wanted, "Reduce the valve command."))
     return Check("valve openings", f"{opening.max():.2f}", f"at most {limit:g}", faults)
 
 

@@ -75,7 +75,7 @@ TRIALS = (
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """How one fault at one instant ended; shares are of the ratings, 1 is the limit."""
+    """Outcome of one fault at one instant; loads are ratios to their ratings, 1 is the limit."""
 
     fault: str
     time: float
@@ -83,7 +83,7 @@ class TrialOutcome:
     phase: Phase
     stop_share: float
     stop: str
-    """Stop with that share."""
+    """End stop with that ratio."""
     pressure_share: float
     clearance: float
     """Lowest clearance of the head over the ground, m."""

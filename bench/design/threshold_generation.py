@@ -55,7 +55,7 @@ eccentricity, friction within its tolerance."""
 _AT_SPEED = frozenset({"downswing", "committed", "impact", "follow_through"})
 """Phases in which a valve that does not obey must be found within milliseconds."""
 MAX_STOPPED = 0.2
-"""Max share of fault-free robots that the envelope stops before the profile counts as unfit for the
+"""Max fraction of fault-free robots that the envelope stops before the profile counts as unfit for the
 controller."""
 _MIN_SWINGS = 20
 """Swings that must have come to a row for a distribution of its maxima."""

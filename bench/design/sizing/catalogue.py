@@ -249,7 +249,7 @@ MANIFOLD_RELIEF = 4.0 / 3.0
 _CYLINDER_WIDTH = 0.045
 """Width of the right arm's cylinder in its moment of inertia, m, as the thesis has it."""
 _MIN_SUPPLY, _MAX_SUPPLY = 0.8125, 1.1
-"""Shares of the regulated pressure between which a swing may begin, as in the shipped envelope."""
+"""Min and max supply pressure of a swing, as ratios to the regulated pressure, as in the default envelope."""
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ class SizingDemand:
     club: str = "driver"
     """Club of the shipped configuration."""
     reserve: float = 0.05
-    """Share by which the fastest plan must exceed the speed before a swing is designed."""
+    """Fraction by which the fastest plan must exceed the speed before a swing is designed."""
 
     def of(self, hardware: Hardware, speed: float | None) -> SwingDemand:
         """Return the demand on the designer at `speed` (m/s; None: as fast as possible)."""
