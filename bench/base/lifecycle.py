@@ -340,7 +340,10 @@ def _each_chamber(first: Cause, fact: str, action: str) -> dict[Cause, Words]:
 CAUSE_WORDS: dict[Cause, Words] = {
     Cause.NONE: ("none", ""),
     Cause.EMERGENCY_STOP: ("emergency stop circuit open", "release it, reset the safety relay, then reset"),
-    Cause.GUARD: ("guard open or not locked", "close it, then reset"),
+    Cause.GUARD: (
+        "guard open or not locked",
+        "check that no one is inside, close it, check its lock, then reset",
+    ),
     Cause.NOT_FINITE: ("a NaN or infinite value reached the envelope", "keep the record and report it"),
     **_each_joint(
         Cause.SHOULDER_ENCODER, "{joint} encoder {encoder} without a valid reading", "check cable and voltage"

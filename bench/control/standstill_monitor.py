@@ -177,9 +177,10 @@ def monitor_standstill(
         if s.is_warmed_up:
             latch(s, parameters, int(s.first_cause), time)
         return
+    if not readings[0].guard_closed:
+        forget_answers(s)  # also if its lock was forced: a person may have been inside
     if is_released(s) and not readings[0].guard_closed:
         s.guard_was_opened = True
-        forget_answers(s)
     elif s.securing and s.state != State.ACCESS:
         _end_securing(s, interlock, time)
     if interlock == Cause.EMERGENCY_STOP or asked == Cause.NETWORK_STOP:

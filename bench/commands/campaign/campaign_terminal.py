@@ -429,7 +429,8 @@ def mark_keys(
 
 _GUARD = "The chambers are vented and the guard is unlocked. Close it when everybody is out"
 _SHUT = (
-    "If the supply was shut without a request for gauges, first run golfbench campaign pause. Then answer: "
+    "If the supply was shut without a request for gauges, first run golfbench campaign pause ID in another "
+    "terminal. Then answer: "
     "the bench locks the guard, warns and arms, or pauses until the supply is open."
 )
 _BENCH = "Answer when it runs again"

@@ -279,7 +279,7 @@ class LiveSeries:
         if self._state is not State.READY:
             cause = operator.cause
             found = cause_text(cause, self._stall()) if cause else f"state {self._state.name}"
-            action = "Follow the text, then --resume; after a repair begin in another folder."
+            action = "Follow the text, then --resume."
             raise Refused("homing", found, "a homed robot in state READY", action)
         operator.wait_for(lambda: bool(operator.control["venting"]["emptied"][0]), _TIMEOUT)
         operator.wait_for(operator.is_vented, SETTLING_TIMEOUT)

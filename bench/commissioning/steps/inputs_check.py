@@ -77,7 +77,7 @@ def check_inputs(
             deviation, findings = _beside_the_gauge(machine, hands, hands.gauge, c)
     finally:
         machine.make_passive()
-    hands.regulator(inf)
+    hands.regulator(atmosphere if findings else inf)  # no air behind a guard that is not proven
     found = tuple(f"{one.location}: {one.found}; expected {one.expected}. {one.action}" for one in findings)
     return SeenInputs(names, wiring_digest(c), found, deviation), findings
 
