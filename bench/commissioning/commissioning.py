@@ -60,7 +60,7 @@ from bench.swing.profile import load_profile
 from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 STATE_FILE, ROBOT_FILE, _LOCK_FILE = "commissioning.json", "robot.toml", "process"
-_VERSION = 1
+_VERSION = 2
 _DIGEST = "# as written by golfbench commission: "
 """Start of the last line of robot.toml, before the digest of the others."""
 _REPEATS = 9
@@ -239,11 +239,10 @@ def read_state(folder: Path) -> Commissioning:
         content: Any = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise BenchError(str(path), f"no JSON: {error}", "the state of a commissioning", action) from None
+    version = content.get("version") if isinstance(content, dict) else None
+    if version is not None and version != _VERSION:
+        raise BenchError(f"{location}.version", f"version {version}", f"version {_VERSION}", action)
     require_fit(content, _StoredState, location, action)
-    stored: _StoredState = content
-    if stored["version"] != _VERSION:
-        found = f"version {stored['version']}"
-        raise BenchError(f"{location}.version", found, f"version {_VERSION}", action)
     done = []
     for i, step in enumerate(content["done"]):
         values = tuple(_stored(ParameterEstimate, value) for value in step["values"])

@@ -178,11 +178,11 @@ class CommandPlane:
             )
             for name in ("state", "event", "shot")
         )
+        self._contract = json.dumps(wire_contract(bench)).encode()
         # Called by the link's own thread: zenoh's own queue for Python would have no bound.
         self._queryable = session.declare_queryable(
             f"{self._root}/command/**", zenoh.handlers.Callback(self._receive, indirect=False)
         )
-        self._contract = json.dumps(wire_contract(bench)).encode()
         self._schema = session.declare_queryable(
             f"{self._root}/schema", zenoh.handlers.Callback(self._send_contract, indirect=False)
         )

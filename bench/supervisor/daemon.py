@@ -37,6 +37,7 @@ from bench.network.bench_service import (
     refused,
 )
 from bench.network.command_plane import CommandPlane
+from bench.network.lease import Lease
 from bench.network.status_words import LATCHED, MOVING, block_text
 from bench.network.zenoh_session import close_session, open_daemon
 from bench.records.shot.recorded_shot import FlightConditions
@@ -135,6 +136,7 @@ class Daemon:
         self._shots = ShotJoin()
         self._drift: list[str] = []
         """Warnings of the latest swing's record."""
+        self._held: Callable[[], Lease | None] = lambda: None  # requests may come before the plane is bound
         self._real_time: dict[str, Any] = {}
         self._device = DeviceStatus(fault="", counters={})
         self._swings = 0
@@ -324,6 +326,7 @@ class Daemon:
         session = open_daemon(c.network)
         stack.callback(close_session, session)
         self._plane = CommandPlane(session, c.bench.id, self)
+        self._held = self._plane.lease
         stack.callback(self._plane.close)
         self._support = [
             ManagedProcess("recorder", folder, self._start_recorder, self._note_record),
@@ -411,7 +414,7 @@ class Daemon:
 
     def _grant(self) -> None:
         """Send heartbeat and permissions to the loop."""
-        lease = self._plane.lease()
+        lease = self._held()
         self._link.beat(lease=0 if lease is None else lease.number, support_ready=self._support_ready)
 
     def _tell_lease(self) -> None:

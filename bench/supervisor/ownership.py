@@ -113,7 +113,7 @@ class Ownership:
         with suppress(OSError):  # gone already
             descriptor = os.open(self.folder / OWNER, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
             try:
-                if try_lock(descriptor):
+                if try_lock(descriptor) and _is_current(descriptor, self.folder):
                     _clear(self.folder, but="")
                     self.folder.rmdir()
             finally:
@@ -199,8 +199,9 @@ def _try_to_take(bench_id: str, path: Path) -> Ownership | Owner | None:
     try:
         if not try_lock(descriptor):
             return _read(descriptor)
-        if not os.path.samestat(os.fstat(descriptor), os.stat(path / OWNER, follow_symlinks=False)):
-            raise FileNotFoundError  # locked, but just removed by the last owner
+        if not _is_current(descriptor, path):
+            raise FileNotFoundError
+        _require_private(path)  # again: while it is locked none of this user's processes removes it
         _clear(path, but=OWNER)
         pid = os.getpid()
         ownership = Ownership(Owner(bench_id, Process(pid, _start_of(pid) or 0)), path, descriptor)
@@ -212,11 +213,16 @@ def _try_to_take(bench_id: str, path: Path) -> Ownership | Owner | None:
             os.close(descriptor)
 
 
+def _is_current(descriptor: int, folder: Path) -> bool:
+    """Return whether the locked file is still the one in `folder`, not that of an owner that has left."""
+    return os.path.samestat(os.fstat(descriptor), os.stat(folder / OWNER, follow_symlinks=False))
+
+
 def _require_private(path: Path) -> None:
     """Refuse the folder `path` unless it belongs to this user alone.
 
     Any user may create files in /dev/shm: with a prepared folder another user could read and control the
-    bench. A folder of this user cannot be replaced by another: /dev/shm is sticky.
+    bench. While its owner file is locked no folder of this user is replaced by another: /dev/shm is sticky.
     """
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode):

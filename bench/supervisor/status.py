@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -219,8 +219,16 @@ def wear_file(data_dir: Path, bench_id: str) -> Path:
     return data_dir / "state" / f"{bench_id}.wear.json"
 
 
-def write_wear(path: Path, findings: list[WearFinding]) -> None:
-    """Store `findings` in place of those of the analysis before.
+class StoredWear(NamedTuple):
+    """The latest analysis of `golfbench wear`."""
+
+    time_utc: str
+    """Time of its last swing, ISO; empty: no analysis."""
+    findings: list[WearFinding]
+
+
+def write_wear(path: Path, wear: StoredWear) -> None:
+    """Store `wear` in place of the analysis before.
 
     Raises:
         BenchError: the file cannot be written.
@@ -228,11 +236,11 @@ def write_wear(path: Path, findings: list[WearFinding]) -> None:
     with suppress(OSError):  # the file reports it
         path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as stream:
-        stream.write(json.dumps({"version": 1, "findings": findings}, indent=1).encode())
+        stream.write(json.dumps({"version": 1} | wear._asdict(), indent=1).encode())
 
 
-def read_wear(path: Path) -> list[WearFinding]:
-    """Return the stored findings; none without a file.
+def read_wear(path: Path) -> StoredWear:
+    """Return the stored analysis; without a file an empty one.
 
     Raises:
         BenchError: the file cannot be read, or has another content.
@@ -241,13 +249,13 @@ def read_wear(path: Path) -> list[WearFinding]:
     try:
         content = json.loads(path.read_bytes())
     except FileNotFoundError:
-        return []
+        return StoredWear("", [])
     except (OSError, ValueError, RecursionError) as error:
         raise BenchError(str(path), str(error), "findings of golfbench wear", action) from None
     match content:
-        case {"version": 1, "findings": findings}:
+        case {"version": 1, "time_utc": str(time_utc), "findings": findings}:
             require_fit(findings, list[WearFinding], f"{path}: findings", action)
-            return cast(list[WearFinding], findings)
+            return StoredWear(time_utc, findings)
     raise BenchError(str(path), "another content", "findings of golfbench wear, version 1", action)
 
 
@@ -319,7 +327,7 @@ class RunMarker:
 
     def _read_wear(self) -> None:
         try:
-            self.wear, fault = read_wear(self._wear_file), ""
+            self.wear, fault = read_wear(self._wear_file).findings, ""
         except BenchError as error:
             self.wear, fault = [], str(error)
         if fault and fault != self.wear_fault:

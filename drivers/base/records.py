@@ -72,17 +72,46 @@ def pack_readings(readings: Readings, record: np.ndarray[Any, Any]) -> None:
     record[0] = readings
 
 
-_FLAGS = tuple(READINGS.names.index(name) for name in ("encoder_valid", "encoder_indexed"))  # type: ignore[union-attr]
-
-
 def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
-    """Return the Readings of a READINGS record in plain Python types; some us."""
-    values: list[Any] = [
-        tuple(value.tolist()) if isinstance(value, np.ndarray) else value for value in record.item()
-    ]
-    for k in _FLAGS:
-        values[k] = tuple(map(bool, values[k]))
-    return Readings(*values)
+    """Return the Readings of a READINGS record in plain Python types; 1.7 us."""
+    (
+        time,
+        count,
+        sample_time,
+        valid,
+        age,
+        stop,
+        closed,
+        locked,
+        supply,
+        reset,
+        ball,
+        chamber,
+        indexed,
+        vents,
+        shut_off,
+        spools,
+    ) = record.item()
+    v1, v2, v3 = valid.tolist()
+    i1, i2, i3 = indexed.tolist()
+    return Readings(
+        time,
+        tuple(count.tolist()),
+        tuple(sample_time.tolist()),
+        (v1 != 0, v2 != 0, v3 != 0),
+        tuple(age.tolist()),
+        stop,
+        closed,
+        locked,
+        supply,
+        reset,
+        ball,
+        tuple(chamber.tolist()),
+        (i1 != 0, i2 != 0, i3 != 0),
+        tuple(vents.tolist()),
+        shut_off,
+        tuple(spools.tolist()),
+    )
 
 
 def pack_command(command: Command, record: np.ndarray[Any, Any]) -> None:

@@ -612,7 +612,7 @@ def pack(states: Any, command: Any) -> None:
         | (s.output_bits[4] if c.tee else 0)
     )
     for i in range(2, -1, -1):
-        data = data << 16 | int(s.valve_centre[i] + s.valve_span * c.valve[i])
+        data = data << 16 | int(s.valve_centre[i] + s.valve_span * c.valve[i]) & 0xFFFF
     s.command[0], s.command[1] = RPDO1 + s.nodes[3] | COMMAND_LENGTH << 32, data
 
 

@@ -350,6 +350,10 @@ class StopRequest:
         self._signalled = True
 
 
+_DEVICE = 69
+"""Exit code of a device that fails (`bench.base.errors.ExitCode`, which sim does not import)."""
+
+
 def main() -> int:
     """Run the simulated nodes of the plan on stdin; return the exit code."""
     stop = StopRequest(signal.SIGTERM)
@@ -371,7 +375,10 @@ def main() -> int:
         can.CanError,
         SharedMemoryError,
     ) as error:
-        _send_event("failed", reason=f"{error}")
+        expected, action = "a plan that can run", "Correct the plan or the interface."
+        _send_event(
+            "failed", location="nodes", found=f"{error}", expected=expected, action=action, exit_code=_DEVICE
+        )
     return 1
 
 

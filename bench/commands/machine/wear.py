@@ -62,6 +62,7 @@ def wear(context: typer.Context, records: Records, plot: Plot = None, json_: Jso
     from bench.simulation.replay import AHEAD, margins, residual_shares
 
     require_picture(plot)
+    settings = context.ensure_object(Session).address().bench
     files = record_files(records)
     swings = []
     with progress_of("replaying swings", len(files)) as show:
@@ -79,7 +80,8 @@ def wear(context: typer.Context, records: Records, plot: Plot = None, json_: Jso
     due = [one for one in parts if one.is_worn or one.left <= ahead]
     worn_texts = {f"{one.value.part}, {one.value.name}": _worn_text(one) for one in due}
     near_texts = {f"{one.joint} {one.kind}": _near_text(one, parts) for one in near}
-    _store(context, swings[-1][0], swings[-1][-1], worn_texts | near_texts)
+    if {bench for *_, bench in swings} == {settings.id}:
+        _store(settings.data_dir, settings.id, swings[-1][0], worn_texts | near_texts)
     if json_:
         rows = [{name: finite(value) for name, value in one._asdict().items()} for one in found]
         worn = {"parts": [_as_json(one) for one in parts], "worn": bool(due)}
@@ -89,25 +91,19 @@ def wear(context: typer.Context, records: Records, plot: Plot = None, json_: Jso
     exit_unless(not near and not due)
 
 
-def _store(context: typer.Context, time_utc: str, bench: str | None, texts: dict[str, str]) -> None:
-    """Store findings, texts by part, for the status of `bench` if it is the configured one.
+def _store(data_dir: Path, bench: str, time_utc: str, texts: dict[str, str]) -> None:
+    """Store findings of swings up to `time_utc`, texts by part, unless an analysis has later swings."""
+    from bench.supervisor.status import StoredWear, read_wear, wear_file, write_wear
 
-    Findings on later swings than these stay.
-    """
-    from bench.supervisor.status import read_wear, wear_file, write_wear
-
-    settings = context.ensure_object(Session).configuration().bench
-    if bench != settings.id:
-        return
-    file = wear_file(settings.data_dir, bench)
+    file = wear_file(data_dir, bench)
     with suppress(BenchError):  # an invalid file is replaced
-        if any(one["time_utc"] > time_utc for one in read_wear(file)):
+        if read_wear(file).time_utc > time_utc:
             return
     findings: list[WearFinding] = [
         {"part": part, "text": text, "time_utc": time_utc} for part, text in texts.items()
     ]
     try:
-        write_wear(file, findings)
+        write_wear(file, StoredWear(time_utc, findings))
     except BenchError as error:
         Console(stderr=True).print(str(error), style="yellow", highlight=False)
 

@@ -44,7 +44,13 @@ hold (Pa; 0 where they do not follow it), gains in the order of `Gains`, joints 
 
 
 def gain_record(lower: Array, spacing: Array, supply: float, table: Array) -> np.ndarray[Any, Any]:
-    """Return a PID_PARAMETERS record of its fields."""
+    """Return a PID_PARAMETERS record of its fields.
+
+    Raises:
+        ValueError: a gain is negative or not finite.
+    """
+    if not (np.isfinite(table).all() and np.min(table) >= 0.0):
+        raise ValueError("gains must be finite and not negative")
     record = new_record(PID_PARAMETERS)
     record["lower"], record["spacing"], record["supply"], record["table"] = lower, spacing, supply, table
     return record

@@ -304,9 +304,10 @@ def dither_move(state: Any, parameters: Any, time: float) -> None:
         if missed and abs(e.velocity[i]) > _SLIPS * p.rest_speed[i]:
             state.pid[0].integral[i] = 0.0
         side = square_wave((time - s.move.start) / profile.dither_period[i])
-        s.desired[i] += side * _amplitude(parameters, i, _dither_part(s, i))
+        part = _dither_part(s, i)
+        s.desired[i] += side * _amplitude(parameters, i, part)
         if missed:
-            s.desired[i] += _bounded(parameters, i, _balancing(state, parameters, i))
+            s.desired[i] += _bounded(parameters, i, _balancing(state, parameters, i, part), part)
 
 
 @compiled

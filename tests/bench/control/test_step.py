@@ -86,6 +86,26 @@ def test_arm_open_interlock_refused(name: str) -> None:
     assert (puppet.tick(Request.RESET), puppet.tick(Request.ARM)) == (Answer.ACCEPTED, Answer.ACCEPTED)
 
 
+@pytest.mark.parametrize("joint", range(3))
+def test_arm_invalid_encoder_refused(joint: int) -> None:
+    puppet = Puppet()
+    puppet.readings["encoder_valid"][0, joint] = 0
+    puppet.run(10)
+    assert puppet.tick(Request.ARM) == Answer.REFUSED
+    puppet.readings["encoder_valid"] = 1
+    puppet.run(2)
+    assert puppet.tick(Request.ARM) == Answer.ACCEPTED
+
+
+def test_guard_opened_by_force_at_standstill_resets_answers() -> None:
+    puppet = Puppet()
+    puppet.run(10)
+    assert puppet.control["first_motion"]["answered"].all()
+    puppet.readings["guard_closed"] = False
+    puppet.tick()
+    assert not puppet.control["first_motion"]["answered"].any()
+
+
 def test_arm_starts_reference_at_current_pose() -> None:
     puppet = Puppet()
     puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]
@@ -195,6 +215,15 @@ def test_disarm_vents_hold_and_brakes_slow_move(phase: Phase) -> None:
         puppet.run(1600)
         rests = State.SAFE if phase is Phase.HOMING else State.READY
         assert (puppet.bench, puppet.is_without_energy()) == (rests, True)
+
+
+def test_disarm_during_brake_refused() -> None:
+    puppet = entered(Phase.HOLD)
+    puppet.readings["guard_closed"] = False
+    puppet.tick()
+    assert puppet.reaction is Reaction.BRAKE
+    assert puppet.tick(Request.DISARM) == Answer.REFUSED
+    assert puppet.reaction is Reaction.BRAKE
 
 
 @each_phase

@@ -23,6 +23,15 @@ DURATIONS = st.floats(MIN_SECONDS, MAX_SECONDS)
 NAMES = st.sampled_from(["Ann", "Bob", "Dr. Ó Súilleabháin", "x" * MAX_HOLDER_LENGTH])
 
 
+def test_lease_book_second_holder_refusal_omits_key() -> None:
+    book = LeaseBook()
+    lease = book.take("Ann", 30.0, now=100.0)
+    with pytest.raises(LeaseRefused, match="Ann holds the bench for 12 s more") as refused:
+        book.take("Bob", 30.0, now=118.0)
+    assert lease.key not in str(refused.value)
+    assert lease.key not in repr(lease)
+
+
 def test_lease_book_lease_numbers_are_unique() -> None:
     """However soon one follows the other, also of one holder."""
     book = LeaseBook()

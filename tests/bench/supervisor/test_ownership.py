@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError, Refused
+from bench.supervisor import ownership
 from bench.supervisor.ownership import MEMORY, NoBenchFolder, adopt, bench_folder, take_bench
 
 DAEMON = """
@@ -344,4 +345,25 @@ print(taken)
     taken = [int(line(process)) for process in processes]
     assert all(process.wait(10) == 0 for process in processes)
     assert all(taken), taken
+    assert free(memory)
+
+
+def test_leave_with_bench_taken_meanwhile_keeps_folder_of_next_owner(
+    memory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between opening and locking the owner file another process leaves, and a third takes the bench."""
+    first, lock, later = take_bench("a", memory), ownership.try_lock, list[ownership.Ownership]()
+
+    def taken_meanwhile(descriptor: int) -> bool:
+        monkeypatch.setattr(ownership, "try_lock", lock)
+        (first.folder / ownership.OWNER).unlink()
+        first.folder.rmdir()
+        later.append(take_bench("a", memory))
+        (later[0].folder / "ring").write_text("shared")
+        return lock(descriptor)
+
+    monkeypatch.setattr(ownership, "try_lock", taken_meanwhile)
+    first.leave()
+    assert sorted(os.listdir(first.folder)) == ["owner", "ring"]
+    later[0].leave()
     assert free(memory)

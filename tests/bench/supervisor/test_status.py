@@ -18,6 +18,7 @@ from bench.network.bench_service import WearFinding
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.status import (
     RunMarker,
+    StoredWear,
     cause_text,
     disarmed_for,
     notify_service,
@@ -253,14 +254,22 @@ def worn(folder: Path) -> tuple[list[WearFinding], str]:
 def test_run_marker_reads_findings_of_wear(tmp_path: Path) -> None:
     assert worn(tmp_path) == ([], "")
     finding = WearFinding(part="wrist valve", text="wrist valve: worn. Clean it.", time_utc="2026-01-02")
-    write_wear(wear_file(tmp_path, "b1"), [finding])
+    write_wear(wear_file(tmp_path, "b1"), StoredWear(finding["time_utc"], [finding]))
     assert worn(tmp_path) == ([finding], "")
-    write_wear(wear_file(tmp_path, "b1"), [])
+    write_wear(wear_file(tmp_path, "b1"), StoredWear(finding["time_utc"], []))
     assert worn(tmp_path) == ([], "")
 
 
 @pytest.mark.parametrize(
-    "garbage", ["", "[]", "[" * 100_000, '{"version": 2}', '{"version": 1, "findings": [{"part": "x"}]}', "ÿ"]
+    "garbage",
+    [
+        "",
+        "[]",
+        "[" * 100_000,
+        '{"version": 2}',
+        '{"version": 1, "time_utc": "", "findings": [{"part": "x"}]}',
+        "ÿ",
+    ],
 )
 def test_run_marker_invalid_wear_file_is_named(tmp_path: Path, garbage: str) -> None:
     wear_file(tmp_path, "b1").parent.mkdir()
