@@ -156,7 +156,9 @@ class CanopenDriver:
         self._leads, self._waiting, self._awaited = (
             numbers(s[name]) for name in ("leads", "waiting", "awaited")
         )
-        self._time, self._listened, self._end = (numbers(s[name]) for name in ("time", "listened", "end"))
+        self._time, self._listened, self._end, self._beaten = (
+            numbers(s[name]) for name in ("time", "listened", "end", "beaten")
+        )
         self._sync, self._beat = s["sync"].tobytes(), s["beat"].tobytes()
         self._beat_period = beat_period(watchdog)
         self._passive_frame = self._packed(PASSIVE)
@@ -394,7 +396,7 @@ class CanopenDriver:
         link = self._opened("write")
         applied = PASSIVE if self.fault else device_limited(command)
         now = self._time[0]
-        if now - self._state["beaten"][0] >= self._beat_period:
+        if now - self._beaten[0] >= self._beat_period:
             self._state["beaten"] = now
             self._send(link, self._beat)
         sent = self._send(link, self._passive_frame if applied is PASSIVE else self._packed(applied))
