@@ -222,9 +222,9 @@ class LiveSeries:
         if operator.phase is not Phase.STANDING:
             self._ask(Request.DISARM)
         operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
-        read = self._ask(Request.ACCESS, _ACCESS)
         # A reset that was pressed before the first request also states that gauges were read.
-        return read or not self._operator.sees_all_chambers()
+        unread = bool(operator.control["venting"]["trapped"][0]) or not operator.sees_all_chambers()
+        return self._ask(Request.ACCESS, _ACCESS) or unread
 
     def lock_guard(self) -> None:
         """Lock the guard again, once it is closed; a swing then arms the robot.

@@ -319,6 +319,15 @@ def test_machine_server_release_guard_reports_supply_locked_for_gauges(
     assert said == ["access: " + REFUSAL_TEXT[Refusal.GAUGE]]
 
 
+@needs_speed
+def test_machine_server_release_guard_after_early_press_reports_locked_supply(
+    armed: MachineServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A press before the first request is accepted at once, and also states that gauges were read."""
+    monkeypatch.setattr(SwingOperator, "sees_all_chambers", lambda _: False)
+    assert armed.obey("release_guard") is True
+
+
 @pytest.mark.parametrize("locked", [False, True])
 def test_live_robot_face_mark_waits_until_locked_supply_is_open(
     monkeypatch: pytest.MonkeyPatch, locked: bool
