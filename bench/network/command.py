@@ -297,13 +297,19 @@ def parse_answer(payload: bytes) -> CommandAnswer:
     Raises:
         BenchError: it is no answer of this version.
     """
-    read = json_object(payload) or {}
-    values = [read.get(name) for name in CommandAnswer._fields]
-    if read.get("version") == VERSION and all(map(isinstance, values, (bool, *[str] * 6, dict))):
-        answer = CommandAnswer(*values)  # type: ignore[arg-type]
-        enumerations = (answer.state, State), (answer.refusal, Refusal), (answer.cause, Cause)
-        if all(name in kind.__members__ for name, kind in enumerations):
-            return answer
+    match json_object(payload):
+        case {
+            "version": 1,
+            "accepted": bool(accepted),
+            "state": str(state),
+            "refusal": str(refusal),
+            "cause": str(cause),
+            "reason": str(reason),
+            "action": str(action),
+            "note": str(note),
+            "content": dict(content),
+        } if state in State.__members__ and refusal in Refusal.__members__ and cause in Cause.__members__:
+            return CommandAnswer(accepted, state, refusal, cause, reason, action, note, content)
     raise _other_version(payload)
 
 
@@ -312,9 +318,14 @@ def parse_error(payload: bytes) -> BenchError:
     match json_object(payload):
         case {
             "version": 1,
-            "error": {"location": str(a), "found": str(b), "expected": str(c), "action": str(d)},
+            "error": {
+                "location": str(location),
+                "found": str(found),
+                "expected": str(expected),
+                "action": str(action),
+            },
         }:
-            return BenchError(a, b, c, d)
+            return BenchError(location, found, expected, action)
     return _other_version(payload)
 
 
