@@ -171,7 +171,7 @@ class CanopenDriver:
 
     def _forget(self) -> None:
         """Reset everything known about the bus."""
-        _ = self.counters
+        self._add_counts()
         self._state[:] = self._pristine
         self._room_since = math.nan
         self._pending.clear()
@@ -182,11 +182,15 @@ class CanopenDriver:
     @property
     def counters(self) -> BusCounters:
         """Counters of frames and failures."""
+        self._add_counts()
+        return self._counters
+
+    def _add_counts(self) -> None:
+        """Move the record's counts into the counters."""
         counters, counted = self._counters, self._state["counters"]
         for name, count in zip(COUNTED, counted[0].tolist(), strict=True):
             setattr(counters, name, getattr(counters, name) + count)
         counted[:] = 0
-        return counters
 
     @property
     def applied(self) -> Command:
