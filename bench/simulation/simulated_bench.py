@@ -140,7 +140,7 @@ class SimulatedBench:
 def simulate_swing(
     bench: SimulatedBench, ball: Ball | None = None, *, stop: Callable[[], bool] = never
 ) -> SwingResult:
-    """Arm a vented `bench`, swing once at `ball` (default: the plant's), disarm and return the result.
+    """Arm a vented `bench`, swing once at `ball` (default: the plant's) and return the result.
 
     When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true, the stopping table brings the
     robot to rest, and the passive command is sent; the result is then `interrupted`.
@@ -158,10 +158,7 @@ def simulate_swing(
         if stop():
             engine.rest()
             raise KeyboardInterrupt
-        result = powered.swing(ball or bench.plant.ball)
-        if result.cause is Cause.NONE and not result.interrupted:
-            engine.advance(1, Request.DISARM)
-        return result
+        return powered.swing(ball or bench.plant.ball)
     finally:
         engine.stepper.make_passive()
 
