@@ -94,9 +94,14 @@ SCHEMA = "golfbench.golfer/1"
 SUFFIX = ".golfer.toml"
 _AXES = ("x", "y", "off")
 ANGLES = ("theta1_rad", "theta2_rad", "theta3_rad")
-_KEYS = dict.fromkeys(("schema", "name", "table", "table_sha256"), str) | dict.fromkeys(
-    ("downswing_s", "plane_deg"), float
-)
+_KEYS = {
+    "schema": str,
+    "name": str,
+    "table": str,
+    "table_sha256": str,
+    "downswing_s": float,
+    "plane_deg": float,
+}
 _ACTION = "Import the recording again with `golfbench golfer import FILE`."
 DEFINITIONS = {
     "plane": "least squares through the head's path from where the shaft is level to the ball, or without a "

@@ -322,8 +322,11 @@ class Runner:
             return False
         self._last = now
         self._commit()
-        long = duration_text(gap) if gap > 0 else "an unknown time"
-        words = f"{long} without a shot{' (the clock went back)' * (gap <= 0)}"
+        words = (
+            f"{duration_text(gap)} without a shot"
+            if gap > 0
+            else "an unknown time without a shot (the clock went back)"
+        )
         trial, warm_up = step.trial, self._plan.warm_up.at_most
         location = f"block {trial.block}" if trial.block else f"the warm-up of section {trial.section}"
         tried = [shot for shot in self._block if shot.block == trial.block]

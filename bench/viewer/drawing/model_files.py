@@ -230,14 +230,12 @@ def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) 
         "efforts": {"shoulder": "N m", "wrist": "N m", "cylinder": "N, positive lengthens the right arm"},
     }
     indent(robot)
-    for path in (folder / "golfbench.urdf", folder / "closure.json"):
-        files.append(path)
-        with atomic_file(path) as stream:
-            if path.suffix == ".json":
-                stream.write(json.dumps(closure, indent=2).encode() + b"\n")
-            else:
-                ElementTree(robot).write(stream, encoding="utf-8", xml_declaration=True)
-    return files
+    urdf, loop = folder / "golfbench.urdf", folder / "closure.json"
+    with atomic_file(urdf) as stream:
+        ElementTree(robot).write(stream, encoding="utf-8", xml_declaration=True)
+    with atomic_file(loop) as stream:
+        stream.write(json.dumps(closure, indent=2).encode() + b"\n")
+    return [*files, urdf, loop]
 
 
 def _link(robot: Element, name: str) -> Element:
