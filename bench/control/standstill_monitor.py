@@ -177,7 +177,7 @@ def monitor_standstill(
         if s.is_warmed_up:
             latch(s, parameters, int(s.first_cause), time)
         return
-    if not readings[0].guard_closed:
+    if not readings[0].guard_closed or Cause.GUARD in (s.cause, s.latest_cause):
         forget_answers(s)  # also if its lock was forced: a person may have been inside
     if is_released(s) and not readings[0].guard_closed:
         s.guard_was_opened = True

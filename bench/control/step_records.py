@@ -165,9 +165,10 @@ ADDRESS_AIR = _nested(
 MOVE = _nested(
     ("start", "f8"),  # s
     ("duration", "f8"),  # s
-    ("origin", "f8", (3,)),  # rad
+    *fields("f8", "origin target", (3,)),  # rad
     ("gain", "f8", (3,)),  # valve command per rad/s of reference speed, of the last tick's pose
     ("arm_first", "?"),  # arm and wrist move before the shoulder
+    ("is_test", "?"),  # joints that may reach the address without an answer move there and back first
 )
 """Memory of `bench.control.moves.motion`: the slow move under way."""
 

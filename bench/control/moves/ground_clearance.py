@@ -49,12 +49,12 @@ _POSES = 24
 
 
 @compiled
-def moves_arm_first(parameters: Any, start: Any) -> bool:
-    """Return whether arm and wrist go before the shoulder on the way from `start` (3,) rad to the address."""
-    together = _spare(parameters, start, False)
+def moves_arm_first(parameters: Any, start: Any, end: Any) -> bool:
+    """Return whether arm and wrist go before the shoulder on the way from `start` to `end`, (3,) rad."""
+    together = _spare(parameters, start, end, False)
     if together >= _MIN_MARGIN:
         return False
-    return bool(_spare(parameters, start, True) > together + _MIN_IMPROVEMENT)
+    return bool(_spare(parameters, start, end, True) > together + _MIN_IMPROVEMENT)
 
 
 @compiled
@@ -70,9 +70,9 @@ def joint_progress(part: float, joint: int, first: bool) -> float:
 
 
 @compiled
-def _spare(parameters: Any, start: Any, first: bool) -> float:
+def _spare(parameters: Any, start: Any, end: Any, first: bool) -> float:
     """Return the min spare clearance (m) of the head on its path; negative where it is too low."""
-    p, robot, end = parameters.envelope[0], parameters.robot[0], parameters.angle[0]
+    p, robot = parameters.envelope[0], parameters.robot[0]
     least = 10.0
     for k in range(_POSES + 1):
         # Scalars, as the step allocates nothing.

@@ -24,7 +24,7 @@ from bench.control.moves.address_pressure import (
     take_over_unsettled_move,
 )
 from bench.control.moves.braking import brake_openings, lift
-from bench.control.moves.first_motion import bound_first, note_answers
+from bench.control.moves.first_motion import bound_first, note_answers, owes_answer
 from bench.control.moves.homing import search
 from bench.control.moves.references import (
     begin_move,
@@ -54,9 +54,9 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
         if time < s.air_from:
             # Without air a vented robot may still sink while it warns: the move begins where it is by then.
             begin_move(parameters, s, e.angle, s.move.start)
-        if not follow_move(parameters, s, time):
-            if near_address(parameters, state.estimator) or take_over_unsettled_move(s, parameters, e, time):
-                enter_hold(s, parameters, time)
+        owed = owes_answer(s, 0) or owes_answer(s, 1) or owes_answer(s, 2)
+        if not (follow_move(parameters, s, time) or owed):
+            _end_move(state, parameters, time)
     else:
         for i in range(3):
             # Near enough is left alone: with dry friction an integral would hunt for ever.
@@ -69,6 +69,16 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
         lift(s, p, e)
     else:
         _control_openings(state, parameters, time, measured_step)
+
+
+@compiled
+def _end_move(state: Any, parameters: Any, time: float) -> None:
+    """Hold the address once the robot is there; after a test motion go there."""
+    s, e = state.control[0], state.estimator
+    if s.move.is_test:
+        begin_move(parameters, s, s.reference, time)
+    elif near_address(parameters, e) or take_over_unsettled_move(s, parameters, e[0], time):
+        enter_hold(s, parameters, time)
 
 
 @compiled

@@ -11,6 +11,7 @@ from typing import Any
 from bench.base.lifecycle import Phase
 from bench.control.estimate.air import actuator_motion
 from bench.control.law.feed_forward import PNEUMATIC, pneumatic_opening
+from bench.control.moves.first_motion import TEST_TIME, choose_target
 from bench.control.moves.ground_clearance import joint_progress, moves_arm_first
 from drivers.base.compiled import compiled
 
@@ -47,16 +48,15 @@ def follow_profile(parameters: Any, s: Any, time: float) -> bool:
 
 @compiled
 def begin_move(parameters: Any, s: Any, start: Any, time: float) -> None:
-    """Begin a slow move from angles `start` to the address (the profile's first sample)."""
-    p = parameters.control[0]
-    s.move.duration = 0.3
+    """Begin a slow move from angles `start` to the address (the profile's first sample), or a test motion."""
+    p, comes_back = parameters.control[0], s.move.is_test
+    choose_target(s, parameters, start)
+    s.move.duration = TEST_TIME if s.move.is_test or comes_back else 0.3
     for i in range(3):
         s.move.origin[i] = start[i]
         # The max speed of a quintic is 15/8 of its mean.
-        s.move.duration = max(
-            s.move.duration, 1.875 * abs(parameters.angle[0, i] - start[i]) / p.move_speed[i]
-        )
-    s.move.arm_first = moves_arm_first(parameters, start)
+        s.move.duration = max(s.move.duration, 1.875 * abs(s.move.target[i] - start[i]) / p.move_speed[i])
+    s.move.arm_first = moves_arm_first(parameters, start, s.move.target)
     if s.move.arm_first:
         s.move.duration *= 2.0
     s.move.start = time
@@ -75,7 +75,7 @@ def follow_move(parameters: Any, s: Any, time: float) -> bool:
         shape = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
         slope = 30.0 * part * part * (1.0 - part) * (1.0 - part) / own_time
         bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part) / (own_time * own_time)
-        way = parameters.angle[0, i] - s.move.origin[i]
+        way = s.move.target[i] - s.move.origin[i]
         s.reference[i] = s.move.origin[i] + way * shape
         s.reference_velocity[i] = way * slope
         s.reference_acceleration[i] = way * bend

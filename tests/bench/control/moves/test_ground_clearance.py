@@ -51,14 +51,16 @@ def test_moves_arm_first_depends_on_head_path() -> None:
     """From each hanging pose: the golfers' robot would clear its minimum by 27 mm, the shipped one by 36."""
     for name, configured, expected in (("default", "shipped", False), ("tour-male-full", "golfers", True)):
         c, profile, parameters = swing_of(name, configured)
-        assert moves_arm_first(parameters, hanging_pose(c.plant)) is expected, name
-        assert not moves_arm_first(parameters, profile.angle[0] + [0.5, 0.0, 0.0]), "from above"
+        assert moves_arm_first(parameters, hanging_pose(c.plant), profile.angle[0]) is expected, name
+        above = profile.angle[0] + [0.5, 0.0, 0.0]
+        assert not moves_arm_first(parameters, above, profile.angle[0])
 
 
 def test_moves_arm_first_pulled_in_arm_returns_false() -> None:
     """An arm pulled in far already: let down first, it would lead the head lower."""
-    c, _, parameters = swing_of("tour-male-full", "golfers")
-    assert not moves_arm_first(parameters, hanging_pose(c.plant) + [0.0, -0.35, 0.0])
+    c, profile, parameters = swing_of("tour-male-full", "golfers")
+    pulled_in = hanging_pose(c.plant) + [0.0, -0.35, 0.0]
+    assert not moves_arm_first(parameters, pulled_in, profile.angle[0])
 
 
 @pytest.mark.parametrize("first", [True, False])
