@@ -51,8 +51,9 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
             s.homed = True
             begin_reaction(s, parameters, Reaction.BRAKE.value, time)  # no cause: to rest, then READY
     elif s.moving:
-        if time < s.air_from:
-            # Without air a vented robot may still sink while it warns: the move begins where it is by then.
+        if time < s.air_from or (s.move.is_test and charging(s, time)):
+            # A vented robot may still sink while it warns, and air may turn a joint whose valve is bounded:
+            # the move begins where it is by then.
             begin_move(parameters, s, e.angle, s.move.start)
         owed = owes_answer(s, 0) or owes_answer(s, 1) or owes_answer(s, 2)
         if not (follow_move(parameters, s, time) or owed):
