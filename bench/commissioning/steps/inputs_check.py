@@ -1,6 +1,7 @@
 """Step 0 of commissioning, and the daily check: an input is valid only after it has changed as expected.
 
-The switches are checked with centred spools and the regulator turned down to zero. Only then air enters the
+The switches are checked with centred spools and the regulator turned down to zero. The guard is released,
+and a person sent to the tee, only while no sensor shows air that may hold an arm up. Then air enters the
 manifold, behind a closed guard with open vents, to compare the supply sensor with a gauge at two pressures. A
 measured robot rests meanwhile; an unmeasured one may drift, as a spool may be off its centre.
 """
@@ -8,9 +9,11 @@ measured robot rests meanwhile; an unmeasured one may drift, as a spool may be o
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from math import inf, isfinite, isnan
 
 from bench.base.errors import Refused
+from bench.base.lifecycle import REFUSAL_WORDS, Refusal
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.commissioning_step import MachineFault, NamedStep
 from bench.commissioning.machine.driver_machine import SimulatedMachine
@@ -18,7 +21,7 @@ from bench.commissioning.machine.inputs import ACTS, OperatorIO, Stage, fitted, 
 from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.config import Configuration
-from bench.control.settings import zero_tolerance
+from bench.control.settings import holding_pressure, zero_tolerance
 from drivers.base import CHAMBERS, Command, Readings
 from sim.plant import PlantParameters
 
@@ -32,7 +35,13 @@ _MIN_SHARE = 0.7
 """Share of the wanted pressure that the gauge shows at least: two readings of no air prove no span."""
 _SETTLED, _FILLED = 1.0, 3.0
 """Time without a change beyond the valves' own delays, and to fill the manifold (s)."""
-
+_INSIDE = 5.0
+"""Factor of the time for an act with the guard released: a pin is set or removed."""
+_UNSEEN = (
+    f"{REFUSAL_WORDS[Refusal.GAUGE][0]}: lock the supply, open each hand valve until it has blown out, "
+    "read 0 at both gauges"
+)
+"""Request before the guard is released, where not each chamber has a sensor."""
 
 _WARNING = Command(beacon=True)
 
@@ -69,8 +78,9 @@ def check_inputs(
         hands.regulator(atmosphere)
         seen = _watched(machine, hands, c, done, progress)
         names = fitted(seen[0], local_reset=c.lifecycle.local_reset)
-        findings = judged(done, seen, names)
-        findings += off_at_rest(seen[-1], c.plant)
+        findings = off_at_rest(seen[-1], c.plant)
+        if len(seen) == len(done):
+            findings = judged(done, seen, names) + findings
         deviation = 0.0
         if not findings and not isnan(seen[-1].supply_pressure):  # no air behind a guard that is not proven
             progress("supply sensor against its gauge")
@@ -102,21 +112,34 @@ def _watched(
     done: tuple[Stage, ...],
     progress: Callable[[str], None],
 ) -> list[Readings]:
-    """Return the readings at the end of each stage."""
+    """Return the readings at the end of each stage, up to the first that has the guard released over air."""
     supply = c.plant.supply
     settled = _SETTLED + max(supply.vent_delay, supply.shut_off_delay)
     seen, air = list[Readings](), supply.atmosphere + _EMPTY
-    for stage in done:
+    for previous, stage in pairwise((done[0], *done)):
+        timeout = hands.timeout
+        if not stage.outputs.guard_lock:
+            if _holds_air(seen[-1], c.plant):
+                break
+            if previous.outputs.guard_lock and not all(map(isfinite, seen[-1].chamber_pressure)):
+                hands.confirm(_UNSEEN)
+            timeout *= _INSIDE
         progress(stage.name)
         if stage.act:
             hands.act(ACTS[stage.act])
         before = seen[-1] if stage.act else None
-        seen.append(machine.watch(stage.outputs, before, air, settled, hands.timeout + settled))
+        seen.append(machine.watch(stage.outputs, before, air, settled, timeout + settled))
         if isfinite(seen[-1].supply_pressure) and seen[-1].supply_pressure > air:
             found = f"{1e-5 * seen[-1].supply_pressure:.2f} bar absolute in the manifold"
             action = "Turn the regulator down until its gauge shows 0, and begin again."
             raise _refused(found, "none, with the regulator turned down", action)
     return seen
+
+
+def _holds_air(readings: Readings, plant: PlantParameters) -> bool:
+    """Return whether a sensor shows air that may hold an arm up, by the bound of access."""
+    shown = (readings.supply_pressure, *readings.chamber_pressure)
+    return any(isfinite(pressure) and pressure > holding_pressure(plant) for pressure in shown)
 
 
 def off_at_rest(readings: Readings, plant: PlantParameters) -> list[MachineFault]:
@@ -130,7 +153,8 @@ def off_at_rest(readings: Readings, plant: PlantParameters) -> list[MachineFault
             f"{1e-5 * pressure:.3f} bar absolute, vented" if isfinite(pressure) else "no believable reading",
             f"{1e-5 * atmosphere:.3f} bar within {1e-5 * tolerance:.3f}: above, access is refused; below, "
             "held air is not seen",
-            "Set its zero and span, or replace it; if all differ alike, correct plant.supply.atmosphere.",
+            "If above, lock the supply, empty it by its hand valve, clean its silencer. If it stays, set the "
+            "sensor's zero and span, or replace it; if all differ alike, correct plant.supply.atmosphere.",
         )
         for name, pressure in zip(sensors, shown, strict=True)
         if not isnan(pressure) and not abs(pressure - atmosphere) <= tolerance

@@ -14,19 +14,19 @@ import pytest
 from sqlalchemy import URL, make_url
 
 from bench.base.errors import Refused
-from bench.base.lifecycle import Block
+from bench.base.lifecycle import REFUSAL_WORDS, Block, Refusal
 from bench.calibration.archive import add_calibration, effective_calibration
 from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_digest
 from bench.commands.cli import main
 from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.machine.commissioning_step import MachineFault
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.inputs import INPUTS, fitted, judged, stages
+from bench.commissioning.machine.inputs import ACTS, INPUTS, Act, fitted, judged, stages
 from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs, off_at_rest
 from bench.config import Configuration
 from bench.control.settings import holding_pressure
 from bench.store.database import open_database
-from drivers.base import CHAMBERS, Readings
+from drivers.base import CHAMBERS, Command, Readings
 from sim.faults import SWITCHES, Fault, Kind
 from tests.bench.commissioning.drawn_robots import drawn_robot
 from tests.sampling import release_except
@@ -240,6 +240,83 @@ def test_check_inputs_spool_offsets_give_no_finding(wired: Configuration, seed: 
     assert findings == []
     assert loads.stop_share < 0.6
     assert loads.lowest_clearance > 0.0
+
+
+class _Acted(Exception):
+    """Ends a check at an act."""
+
+
+def test_check_inputs_air_in_chamber_keeps_guard_locked(wired: Configuration) -> None:
+    """Half a bar behind a clogged silencer lifts an arm: no person is sent to the tee."""
+    acts = list[str]()
+    clogged = broken("right arm A exhaust", "scale", 0.0)
+    with SimulatedMachine(wired.plant, wired.plant, (clogged,), inputs_only=True) as machine:
+        own = machine.hands
+        written = machine.driver.write
+        commands = list[Command]()
+
+        def act(one: Act) -> None:
+            acts.append(one.key)
+            own.act(one)
+            if one.key == "release-reset":  # it leaks into the chamber
+                machine.driver.plant_state["pressure"][0, CHAMBERS.index("right arm A")] = 1.5e5
+
+        def write(command: Command) -> Command:
+            commands.append(command)
+            return written(command)
+
+        machine.driver.write = write  # type: ignore[method-assign]
+        seen, findings = check_inputs(machine, own._replace(act=act), wired)
+    assert all(command.guard_lock for command in commands)
+    assert "open-guard" not in acts
+    assert [one.location for one in findings] == ["right arm A sensor"]
+    assert "bar absolute, vented" in findings[0].found
+    assert "hand valve" in findings[0].action
+    assert seen.findings, "arming is blocked"
+
+
+def test_check_inputs_without_chamber_sensors_asks_for_gauges_before_release(wired: Configuration) -> None:
+    plant = replace(wired.plant, pressure_sensors=False)
+    done = list[str]()
+    with SimulatedMachine(plant, plant, inputs_only=True) as machine:
+        own = machine.hands
+
+        def act(one: Act) -> None:
+            done.append(one.key)
+            if one.key == "open-guard":
+                raise _Acted
+            own.act(one)
+
+        hands = own._replace(act=act, confirm=done.append)
+        with pytest.raises(_Acted):
+            check_inputs(machine, hands, replace(wired, plant=plant))
+    words = done[done.index("open-guard") - 1]
+    assert words.startswith(REFUSAL_WORDS[Refusal.GAUGE][0])
+    assert "hand valve" in words
+
+
+def test_check_inputs_person_at_tee_has_open_vents_pin_and_time(
+    wired: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = list[float]()
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        own, watch = machine.hands, machine.watch
+
+        def act(one: Act) -> None:
+            if one.key == "place-ball":
+                assert machine.driver.applied == Command(guard_lock=False)
+                assert machine.driver.plant_state["pressure"][0].max() < holding_pressure(wired.plant)
+            own.act(one)
+
+        def noted(*given: Any) -> Readings:
+            times.append(given[-1])
+            return watch(*given)
+
+        monkeypatch.setattr(machine, "watch", noted)
+        assert check_inputs(machine, own._replace(act=act), wired)[1] == []
+    assert max(times) > 4.0 * own.timeout
+    assert "pin the shoulder" in ACTS["place-ball"].text
+    assert "Remove the pin" in ACTS["close-guard"].text
 
 
 def test_check_inputs_supply_pressure_present_is_refused(wired: Configuration) -> None:
