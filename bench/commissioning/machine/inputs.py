@@ -207,6 +207,7 @@ def turned_once(turn: Regulator) -> Regulator:
 
     def wanted(pressure: float) -> None:
         if pressure != last[0]:
+            last[0] = math.nan  # until it is turned
             turn(pressure)
             last[0] = pressure
 

@@ -64,6 +64,8 @@ def check_inputs(
 ) -> tuple[SeenInputs, list[MachineFault]]:
     """Return the inputs seen, and findings; the machine is passive afterwards.
 
+    Only without findings and errors the regulator is turned up to service, else down to zero.
+
     Raises:
         Refused: no person reads the gauge, air is on or off where it may not be, the guard is open when air
             is to come, or the device fails.
@@ -74,8 +76,9 @@ def check_inputs(
         raise _refused("no person at the machine", "a person who acts and reads", action)
     c, atmosphere = configuration, configuration.plant.supply.atmosphere
     done = stages(local_reset=c.lifecycle.local_reset)
+    after = atmosphere
+    hands.regulator(atmosphere)
     try:
-        hands.regulator(atmosphere)
         seen = _watched(machine, hands, c, done, progress)
         names = fitted(seen[0], local_reset=c.lifecycle.local_reset)
         findings = off_at_rest(seen[-1], c.plant)
@@ -85,9 +88,10 @@ def check_inputs(
         if not findings and not isnan(seen[-1].supply_pressure):  # no air behind a guard that is not proven
             progress("supply sensor against its gauge")
             deviation, findings = _beside_the_gauge(machine, hands, hands.gauge, c)
+        after = atmosphere if findings else inf  # no air behind a guard that is not proven
     finally:
         machine.make_passive()
-    hands.regulator(atmosphere if findings else inf)  # no air behind a guard that is not proven
+        hands.regulator(after)
     found = tuple(f"{one.location}: {one.found}; expected {one.expected}. {one.action}" for one in findings)
     return SeenInputs(names, wiring_digest(c), found, deviation), findings
 

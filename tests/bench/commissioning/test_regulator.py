@@ -30,6 +30,23 @@ def test_turned_once_same_pressure_is_requested_once() -> None:
     assert asked == [3e5, 4.5e5, math.inf, 3e5]
 
 
+def test_turned_once_interrupted_turn_is_repeated_back() -> None:
+    """A person may have turned it before the prompt ended."""
+    asked: list[float] = []
+
+    def turn(pressure: float) -> None:
+        asked.append(pressure)
+        if pressure == 3e5:
+            raise KeyboardInterrupt
+
+    regulator = turned_once(turn)
+    regulator(1e5)
+    with pytest.raises(KeyboardInterrupt):
+        regulator(3e5)
+    regulator(1e5)
+    assert asked == [1e5, 3e5, 1e5]
+
+
 def test_turned_once_failed_turn_is_requested_again() -> None:
     asked: list[float] = []
 

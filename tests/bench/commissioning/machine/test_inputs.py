@@ -328,6 +328,23 @@ def test_check_inputs_supply_pressure_present_is_refused(wired: Configuration) -
 
 
 @pytest.mark.slow
+def test_check_inputs_refused_with_air_on_turns_regulator_down(wired: Configuration) -> None:
+    atmosphere, turned = wired.plant.supply.atmosphere, list[float]()
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        own = machine.hands
+
+        def turn(pressure: float) -> None:
+            turned.append(pressure)
+            own.regulator(pressure)
+
+        hands = own._replace(regulator=turn, gauge=lambda: 0.0)
+        with pytest.raises(Refused, match="turn the regulator up"):
+            check_inputs(machine, hands, wired)
+        assert not machine.driver.applied.supply_enable
+    assert turned == [atmosphere, PRESSURES[0], atmosphere]
+
+
+@pytest.mark.slow
 def test_check_inputs_gauge_without_air_is_refused(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
         own = machine.hands
