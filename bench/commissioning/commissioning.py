@@ -329,14 +329,15 @@ def commission(
     nominal: PlantParameters,
     machine: SimulatedMachine | LiveRobot,
     *,
+    permit: Callable[[], object] = lambda: None,
     observe: Callable[[], tuple[str, ...]] = tuple,
     on_step: Callable[[NamedStep], None] = lambda step: None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> RobotEstimate:
     """Do the measuring steps of `state` that are not done; store it after each.
 
-    The machine is passive at the end. `observe` returns further notes after a step, such as a simulated
-    robot's loads; `progress` is given each motion within a step.
+    The machine is passive at the end. `permit` returns once a person permits the first motion, `observe`
+    further notes after a step, such as a simulated robot's loads; `progress` is given each motion of a step.
 
     Raises:
         MachineFault: a step found the machine wrong; the state says so.
@@ -344,6 +345,8 @@ def commission(
     """
     known = RobotEstimate(nominal, state.values)
     try:
+        if not all(map(state.has_done, STEPS)):
+            permit()
         for number, step in enumerate(STEPS, 1):
             if state.has_done(step):
                 continue

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -166,6 +167,7 @@ def _commission(
         folder_lock,
         known_with_swing,
     )
+    from bench.commissioning.steps.inputs_check import await_local_reset
     from bench.config import load_configuration
 
     nominal = configuration.plant
@@ -188,7 +190,10 @@ def _commission(
         try:
             _see_inputs(state, configuration, machine, on_step, show)
             measured, observe = machine.measured, machine.observe
-            known = commission(state, nominal, measured, observe=observe, on_step=on_step, progress=show)
+            permit = partial(await_local_reset, measured, machine.hands, configuration)
+            known = commission(
+                state, nominal, measured, permit=permit, observe=observe, on_step=on_step, progress=show
+            )
             measured.set_supply(float("inf"))
             _write_robot(file, state, known, configuration.envelope)
             robot = load_configuration(file)

@@ -22,7 +22,7 @@ from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.config import Configuration
 from bench.control.settings import holding_pressure, zero_tolerance
-from drivers.base import CHAMBERS, Command, Readings
+from drivers.base import CHAMBERS, PASSIVE, Command, Readings
 from sim.plant import PlantParameters
 
 PRESSURES = (2.5e5, 4.0e5)
@@ -36,7 +36,9 @@ _MIN_SHARE = 0.7
 _SETTLED, _FILLED = 1.0, 3.0
 """Time without a change beyond the valves' own delays, and to fill the manifold (s)."""
 _INSIDE = 5.0
-"""Factor of the time for an act with the guard released: a pin is set or removed."""
+"""Factor of the time for an act with the guard released: a pin is set or removed; persons are counted."""
+_PRESSED = 0.05
+"""Time without a change after which the local reset counts as pressed or released (s)."""
 _UNSEEN = (
     f"{REFUSAL_WORDS[Refusal.GAUGE][0]}: lock the supply, open each hand valve until it has blown out, "
     "read 0 at both gauges"
@@ -98,6 +100,25 @@ def check_inputs(
 
 def _refused(found: str, expected: str, action: str) -> Refused:
     return Refused("check of the inputs", found, expected, action)
+
+
+def await_local_reset(machine: SimulatedMachine | LiveRobot, hands: OperatorIO, c: Configuration) -> None:
+    """Return once a person has pressed and released the local reset, where one is wired: the robot may move.
+
+    Raises:
+        Refused: it was not pressed alone, or the device fails.
+    """
+    if not c.lifecycle.local_reset:
+        return
+    hands.say("The robot is to move: count the persons outside the guard.")
+    readings: Readings | None = None
+    for key, pressed in (("", False), ("press-reset", True), ("release-reset", False)):
+        if key:
+            hands.act(ACTS[key])
+        readings = machine.watch(PASSIVE, readings, inf, _PRESSED, _INSIDE * hands.timeout)
+        if readings.local_reset != pressed or not readings.guard_closed:
+            action = "Count the persons, close the guard, then continue with --resume."
+            raise Refused("local reset", "no press of it alone", "one before the robot moves", action)
 
 
 def raise_findings(findings: list[MachineFault]) -> None:

@@ -135,6 +135,39 @@ def test_commissioning_state_is_saved_after_each_step_and_repeated_after_fault(
     assert read_state(tmp_path).wrong is None
 
 
+def test_commission_without_permit_measures_no_step(
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = _Found("first"), _Found("second")
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first, second))
+    state, runs = begin(tmp_path, configuration, simulated=True), list[int]()
+
+    def refuse() -> None:
+        raise Refused("commission", "no press", "a press", "Press the button.")
+
+    with SimulatedMachine(configuration.plant, configuration.plant) as machine:
+        with pytest.raises(Refused):
+            commission(state, configuration.plant, machine, permit=refuse)
+        assert first.runs == 0
+        for _ in range(2):
+            commission(state, configuration.plant, machine, permit=lambda: runs.append(first.runs))
+    assert runs == [0], "once, before the first step; nothing is left to move later"
+
+
+@pytest.mark.slow
+def test_commission_wired_local_reset_is_requested_before_first_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, asked = _Found("first"), list[int]()
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first,))
+    monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", ())
+    monkeypatch.setattr(
+        "bench.commissioning.steps.inputs_check.await_local_reset", lambda *_: asked.append(first.runs)
+    )
+    assert exit_code(["commission", "--sim", "--output", str(tmp_path / "day")]) == 0
+    assert asked == [0]
+
+
 def test_commission_stalled_step_is_repeated_at_most_nine_times(
     tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,11 +22,11 @@ from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.machine.commissioning_step import MachineFault
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.inputs import ACTS, INPUTS, Act, fitted, judged, stages
-from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs, off_at_rest
+from bench.commissioning.steps.inputs_check import PRESSURES, await_local_reset, check_inputs, off_at_rest
 from bench.config import Configuration
 from bench.control.settings import holding_pressure
 from bench.store.database import open_database
-from drivers.base import CHAMBERS, Command, Readings
+from drivers.base import CHAMBERS, PASSIVE, Command, Readings
 from sim.faults import SWITCHES, Fault, Kind
 from tests.bench.commissioning.drawn_robots import drawn_robot
 from tests.sampling import release_except
@@ -377,6 +377,37 @@ def test_check_inputs_unfitted_inputs_are_skipped(configuration: Configuration) 
         seen, findings = check_inputs(machine, machine.hands, c)
     assert findings == []
     assert set(ALL) - set(seen.seen) == {"vent 1", "vent 2", "local reset"}
+
+
+def test_await_local_reset_pressed_and_released_returns(wired: Configuration) -> None:
+    acts, said = list[str](), list[str]()
+    with SimulatedMachine(wired.plant, wired.plant) as machine:
+        own = machine.hands
+
+        def act(one: Act) -> None:
+            assert machine.driver.applied == PASSIVE
+            acts.append(one.key)
+            own.act(one)
+
+        hands = own._replace(act=act, say=said.append)
+        await_local_reset(machine, hands, wired)
+        assert acts == ["press-reset", "release-reset"]
+        assert "count the persons" in said[0]
+        unwired = replace(wired, lifecycle=replace(wired.lifecycle, local_reset=False))
+        await_local_reset(machine, hands, unwired)
+    assert len(acts) == 2
+
+
+@pytest.mark.parametrize(
+    ("stuck", "key"), [(False, ""), (True, ""), (False, "open-guard")], ids=["no press", "stuck", "guard"]
+)
+def test_await_local_reset_without_press_is_refused(wired: Configuration, stuck: bool, key: str) -> None:
+    with SimulatedMachine(wired.plant, wired.plant) as machine:
+        own = machine.hands
+        machine.driver.plant_state["local_reset"] = stuck
+        hands = own._replace(act=lambda one: own.act(ACTS[key]) if key else None, timeout=0.1)
+        with pytest.raises(Refused, match="local reset"):
+            await_local_reset(machine, hands, wired)
 
 
 # The calendar ----------------------------------------------------------------------------------------------
