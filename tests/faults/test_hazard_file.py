@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.lifecycle import REFUSAL_WORDS, Refusal
 from bench.faults.summary import JUDGEMENT, hazard_file
 from tests.faults.made_matrix import whole_matrix
 
@@ -53,6 +54,17 @@ def test_risk_graph_level_never_decreases_with_risk() -> None:
         for axis in "SFP":
             assert graph[risk.replace(f"{axis}1", f"{axis}2")] >= level
     assert (graph["S1 F1 P1"], graph["S2 F2 P2"]) == ("a", "e")
+
+
+def test_door_test_names_answer_that_bridged_switch_does_not_give() -> None:
+    """A switch that is bridged gives another refusal; arming is refused in ACCESS whatever it reads."""
+    entries = tomllib.loads(JUDGEMENT.read_text())["failures"]
+    (proof,) = (one["proof_test"] for one in entries if one["item"] == "guard switches")
+    daily = (ROOT / "bench/manual/operator/first_day.md").read_text()
+    answer = f"`access --end` answers: {REFUSAL_WORDS[Refusal.GUARD][0]}"
+    assert answer in proof
+    assert answer in daily.replace("\n  ", " ")
+    assert "arm" not in proof
 
 
 KEYS = {

@@ -176,6 +176,16 @@ def test_secure_press_before_access_refused() -> None:
     assert asked(puppet, Request.SECURE) is Refusal.LOCAL_RESET
 
 
+@pytest.mark.parametrize("bridged", [False, True])
+def test_secure_open_door_without_press_answer_shows_bridged_switch(bridged: bool) -> None:
+    """The daily test of the doors; ARM gives the same answer with a bridged switch."""
+    puppet = reach(State.READY, local_reset=True)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+    puppet.give(guard_locked=False, guard_closed=bridged).run(5)
+    assert asked(puppet, Request.SECURE) is (Refusal.LOCAL_RESET if bridged else Refusal.GUARD)
+    assert asked(puppet, Request.ARM) is Refusal.STATE
+
+
 # A cause while a person is inside ---------------------------------------------------------------------
 
 FULL, EMPTY = (TIMES.vented_pressure + 1e5,) * 6, (ATMOSPHERE,) * 6
