@@ -48,7 +48,7 @@ from bench.campaign.run.shot_source import (
 from bench.campaign.run.simulated_shots import ball_as_hit, monitored, random_of, reported_carry
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
-from bench.network.bench_operator import READY, BenchOperator, NoShot
+from bench.network.bench_operator import READY, BenchOperator, NoShot, in_words
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
@@ -168,6 +168,8 @@ class LiveShots(ShotSource):
         self._supply_shut = not entry.simulated
         """Whether a person may have shut the supply for the access; unknown if an earlier run granted it."""
         self._before_arming = ""
+        self._short = ""
+        """Shortage of the supply since the last swing or `rest`; empty without one."""
         self._resume = f"golfbench campaign resume {entry.id}"
         self._events: list[tuple[str, str]] = []
         """(kind, text) of what happened on the way to the shot under way."""
@@ -202,8 +204,15 @@ class LiveShots(ShotSource):
         return None if link["present"] else BlockingCondition(f"{absent_monitor_text(link)}{note}")
 
     def _short_of_air(self, step: Step, status: BenchStatus) -> BlockingCondition | None:
-        """Check the supply pressure, at the address only: otherwise its manifold is empty."""
+        """Check the supply pressure, at the address only: otherwise its manifold is empty.
+
+        Raises:
+            Suspended: the bench was disarmed, as by `lifecycle.armed_timeout`, while the supply was short.
+        """
         supply, pressure = self._plan.supply, status["supply_pressure_pa"]
+        if self._short and status["state"] != "ARMED":
+            now = f"now the bench is {in_words(status)}"
+            raise Suspended(f"{self._short}; {now}: check compressor and regulator, then resume")
         if pressure is None or (status["state"], status["phase"]) != ("ARMED", "HOLD"):
             return None
         profile = self._swings.designed((step.trial.arm.swing, step.trial.arm.club))
@@ -211,10 +220,12 @@ class LiveShots(ShotSource):
         if pressure >= least:
             return None
         text = f"supply {pressure / 1e5:.2f} bar absolute, at least {least / 1e5:.2f} for {profile.name}"
+        self._short = text
         return BlockingCondition(text, armed=True, timeout=supply.timeout)
 
     def rest(self) -> None:
         """Disarm: vent the robot."""
+        self._short = ""
         with suppress(BenchError):  # not armed, or the next shot fails with the reason
             self._client.disarm()
 
@@ -309,6 +320,7 @@ class LiveShots(ShotSource):
         """
         if self._short_of_air(step, status):
             raise ShotPostponed(*self._events)
+        self._short = ""
         if self._must_practise(step) and not status["ball_present"]:
             self._practise()
             return False

@@ -37,7 +37,7 @@ from bench.campaign.run.corrections import Drift
 from bench.campaign.run.live_shots import LiveShots, require_live
 from bench.campaign.run.plan_requirements import Profiles, require_swings
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
-from bench.campaign.run.shot_source import BlockingCondition, Suspended, Watcher
+from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, Suspended, Watcher
 from bench.config import database_url, load_configuration
 from bench.learning.store import learned_swings
 from bench.network.bench_service import ArmingBlock, CommandAnswer
@@ -569,6 +569,32 @@ def test_hindrance_checks_supply_only_at_address(
     assert (found is not None) == hindered
     if found:
         assert found == BlockingCondition("supply 7.70 bar absolute, at least 7.76 for default", True, 600.0)
+
+
+def test_hindrance_bench_disarmed_while_supply_is_short_suspends(plan: CampaignPlan) -> None:
+    """A vented bench does not see its supply: nothing charges its chambers again without a person."""
+    for short in (7.7e5, 7.8e5):  # at the last look; once short, only a swing or a person ends the shortage
+        bench = StandingBench(state="ARMED", phase="HOLD", supply_pressure_pa=7.7e5)
+        with shots_of(plan, bench) as source:
+            assert source.hindrance(a_step()) is not None
+            bench._status["supply_pressure_pa"] = short
+            assert (source.hindrance(a_step()) is None) is (short > 7.7e5)
+            bench._status |= {"state": "READY", "phase": "STANDING", "supply_pressure_pa": 1.0e5}
+            with pytest.raises(Suspended, match=r"supply 7\.70 bar.*READY.*regulator"):
+                source.hindrance(a_step())
+            source.rest()  # a person has paused and continued the campaign
+            assert source.hindrance(a_step()) is None
+
+
+def test_live_shots_swing_ends_shortage_of_supply(plan: CampaignPlan) -> None:
+    bench: Any = StandingBench(state="ARMED", phase="HOLD", supply_pressure_pa=7.7e5)
+    with shots_of(plan, bench) as source:
+        with pytest.raises(ShotPostponed):
+            source._prepare(a_step(), bench.status())
+        bench._status["supply_pressure_pa"] = 7.8e5
+        assert source._prepare(a_step(), bench.status())
+        bench._status |= {"state": "READY", "phase": "STANDING", "supply_pressure_pa": 1.0e5}
+        assert source.hindrance(a_step()) is None  # vented after the swing
 
 
 @pytest.fixture(scope="module")
