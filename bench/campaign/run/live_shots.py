@@ -224,10 +224,11 @@ class LiveShots(ShotSource):
         return BlockingCondition(text, armed=True, timeout=supply.timeout)
 
     def rest(self) -> None:
-        """Disarm: vent the robot."""
+        """Disarm: vent the robot. Release the lease until the next shot or access."""
         self._short = ""
         with suppress(BenchError):  # not armed, or the next shot fails with the reason
             self._client.disarm()
+        self._operator.release()
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; raises as `ShotSource.take`."""
@@ -260,11 +261,10 @@ class LiveShots(ShotSource):
         return Preparation(PromptKind.BENCH, text, {"profile": wanted, "club": arm.club})
 
     def grant_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
-        """Vent the robot and unlock the guard; for `PromptKind.BENCH` release the lease instead."""
+        """Vent the robot and unlock the guard; for `PromptKind.BENCH` leave the bench to the person."""
         with _suspending():
             self.rest()
             if kind is PromptKind.BENCH:
-                self._operator.release()
                 return
             self._operator.take_lease()
             if self._client.status()["state"] != "ACCESS":

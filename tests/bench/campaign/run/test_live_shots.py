@@ -481,6 +481,27 @@ def test_live_shots_access_disarms_then_secures(plan: CampaignPlan) -> None:
         assert bench.asked[4:] == []
 
 
+class Leased(Doors):
+    """Records when the lease is taken and released."""
+
+    @contextmanager
+    def lease(self, holder: str, seconds: float) -> Iterator[None]:
+        self.asked.append("lease")
+        yield
+        self.asked.append("release")
+
+
+def test_live_shots_rest_releases_lease_until_next_use(plan: CampaignPlan) -> None:
+    """A pause frees the bench for a person who takes the lease and opens access."""
+    bench = Leased()
+    with shots_of(plan, bench) as source:
+        source._operator.take_lease()
+        source.rest()
+        assert bench.asked == ["lease", "disarm", "release"]
+        source.grant_access(PromptKind.CLUB, print)
+        assert bench.asked[3:] == ["disarm", "lease", "access"]
+
+
 def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan) -> None:
     refusals = [Refusal.GUARD, Refusal.GUARD, Refusal.LOCAL_RESET, Refusal.LOCAL_RESET]
     bench = Doors(secure=refusals, state="ACCESS")
