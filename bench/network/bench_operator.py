@@ -36,6 +36,8 @@ _SWING = 60.0
 """Max duration of a swing, until the robot is back or stands, s."""
 _RESETS = 3
 """Max number of automatic resets of a simulated bench before one swing."""
+_AIR_ON = frozenset({"ARMED", "SWINGING", "RECOVERING"})
+"""States that an armed robot leaves for READY only by a disarming, or after a swing without `series`."""
 _LASTING = frozenset({Refusal.READ_ONLY, Refusal.BLOCKED, Refusal.CORRECTION})
 """Refusals that last until a person has calibrated, learned again or restarted the bench."""
 
@@ -76,6 +78,8 @@ class BenchOperator:
         self._aborted, self._interrupted = aborted, interrupted
         self._stack, self._lease = ExitStack(), ExitStack()
         self._held, self._resets = False, 0
+        self._armed = False
+        """Whether the robot was armed at the last look, and not disarmed from here or after a swing since."""
         self._outcomes: dict[str, ShotPublication] = {}
         """Outcomes of the shots since the last `begin_swing`, by shot ID."""
 
@@ -102,7 +106,7 @@ class BenchOperator:
     def release(self) -> None:
         """Release the lease; the bench disarms."""
         self._lease.close()
-        self._held = False
+        self._held = self._armed = False
 
     def pause(self) -> None:
         """Wait for the next look at the bench.
@@ -123,10 +127,12 @@ class BenchOperator:
 
         Raises:
             CommandRefused: for what lasts, or for too long.
+            Refused: too slow, without the lease, or another client has disarmed the robot.
         """
         deadline, held_since, asked = time.monotonic() + READY, np.inf, False
         while True:
             status = self.client.status()
+            self._armed = status["state"] in _AIR_ON or (self._armed and status["state"] == "READY")
             at_address = status["state"] == "ARMED" and status["phase"] == "HOLD"
             held_since = min(held_since, status["time"]) if at_address else np.inf
             if todo := self._persons_work(status):
@@ -196,13 +202,14 @@ class BenchOperator:
     def wait_until_over(self) -> None:
         """Wait until the robot is back at its address or stands; an abort stops it at once."""
         deadline, stopped = time.monotonic() + _SWING, False
-        while self.client.status()["state"] in {"SWINGING", "RECOVERING"}:
+        while (status := self.client.status())["state"] in {"SWINGING", "RECOVERING"}:
             if not stopped and self._aborted():
                 self.client.stop()
                 stopped = True
             if time.monotonic() > deadline:
                 raise self.refused(f"swing still running after {_SWING:g} s", "its end", "Check the robot.")
             time.sleep(_LOOK)
+        self._armed = self._armed and status["series"]
 
     def message_about(self, record: SwingRecord) -> ShotPublication | None:
         """Return the launch monitor's message about the swing of `record`; None after a time-out."""
@@ -234,6 +241,9 @@ class BenchOperator:
         """Request the next step on the way to the address."""
         match status["state"]:
             case "READY":
+                if self._armed and status["cause"] is None:
+                    action = "Find out who disarmed it and why, then begin again."
+                    raise self.refused("disarmed by request of another client", "an armed robot", action)
                 self.client.arm()
                 self.armed_anew = True
             case "SAFE":

@@ -8,7 +8,8 @@ from typing import Any, cast
 
 import pytest
 
-from bench.base.lifecycle import REFUSAL_WORDS, Refusal
+from bench.base.errors import Refused
+from bench.base.lifecycle import REFUSAL_WORDS, Cause, Refusal
 from bench.network.bench_operator import BenchOperator
 from bench.network.bench_service import BenchStatus, CommandAnswer
 from bench.network.client import BenchClient, CommandRefused
@@ -101,3 +102,57 @@ def test_rest_at_address_real_bench_releases_lease_for_person() -> None:
     assert bench.asked == ["lease", "release", "lease"]
     assert len(todo) == 1
     assert "golfbench reset" in todo[0]
+
+
+class DisarmableBench(RestingBench):
+    """Arms at once; holds its address after a swing with `series`, else vents."""
+
+    def __init__(self, *, series: bool = True) -> None:
+        super().__init__()
+        self.state |= {"state": "READY", "phase": "STANDING", "series": series, "cause": None}
+
+    def arm(self) -> None:
+        self.asked.append("arm")
+        self.state |= {"state": "ARMED", "phase": "HOLD", "cause": None}
+
+    def reset(self) -> None:
+        self.state["state"] = "READY"
+
+    def vent(self, state: str = "READY", cause: str = "") -> None:
+        found = {"name": cause, "text": ""} if cause else None
+        self.state |= {"state": state, "phase": "STANDING", "cause": found}
+
+
+@pytest.mark.parametrize("series", [True, False])
+def test_rest_at_address_bench_disarmed_by_request_is_refused(series: bool) -> None:
+    bench = DisarmableBench(series=series)
+    operator = operator_of(bench)
+    operator.rest_at_address()
+    bench.vent()
+    with pytest.raises(Refused, match=r"disarmed by request of another client"):
+        operator.rest_at_address()
+    assert bench.asked == ["lease", "arm"]
+
+
+@pytest.mark.parametrize("cause", [Cause.ARMED_TIME, Cause.SUPPORT])
+def test_rest_at_address_bench_disarmed_automatically_arms(cause: Cause) -> None:
+    bench = DisarmableBench()
+    operator = operator_of(bench)
+    operator.rest_at_address()
+    bench.vent(cause=cause.name)
+    assert operator.rest_at_address()["state"] == "ARMED"
+
+
+def test_rest_at_address_after_vented_swing_release_or_reset_arms() -> None:
+    bench = DisarmableBench(series=False)
+    operator = operator_of(bench)
+    operator.rest_at_address()
+    bench.vent()
+    operator.wait_until_over()
+    operator.rest_at_address()
+    bench.vent()
+    operator.release()
+    operator.rest_at_address()
+    bench.vent("FAULT", "GUARD")
+    operator.rest_at_address()
+    assert bench.asked.count("arm") == 4

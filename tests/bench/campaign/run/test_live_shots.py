@@ -887,8 +887,7 @@ class ArmableBench(StandingBench):
     """Arms, swings and stays armed, or not (`series`), at once."""
 
     def __init__(self, *, series: bool) -> None:
-        super().__init__(time=0.0, ball_present=False)
-        self._series = series
+        super().__init__(time=0.0, ball_present=False, series=series)
 
     def status(self) -> dict[str, Any]:
         self._status["time"] += 2.0
@@ -904,7 +903,7 @@ class ArmableBench(StandingBench):
 
     def swing(self) -> None:
         self.asked.append("swing")
-        self._status |= {"ball_present": False, "state": "ARMED" if self._series else "READY"}
+        self._status |= {"ball_present": False, "state": "ARMED" if self._status["series"] else "READY"}
 
 
 @pytest.mark.parametrize(
@@ -925,6 +924,7 @@ def test_live_shots_arming_without_planned_air_adds_practice_swing(
     with shots_of(plan, bench, planned=planned) as source:
         for _ in range(2):
             source._operator.begin_swing(lambda status: source._prepare(a_step(), status), ball=True)
+            source._operator.wait_until_over()
     assert bench.asked == asked
     assert [kind for kind, _ in source._events] == ["practice"] * (practice and not planned)
 
