@@ -99,6 +99,7 @@ class Puppet:
         )
         self.parameters.control["home_pose"] = ADDRESS
         self.state = new_control_state(state)
+        self.state.control["first_motion"]["answered"] = 1  # or it makes a test motion before its hold
         self.readings, self.record, self.cycle = new_record(READINGS), new_record(COMMAND), new_record(CYCLE)
         self.angle = ADDRESS.copy()
         self.offset = np.zeros(3)

@@ -477,7 +477,7 @@ def test_stop_requires_reset_and_arm_before_motion(phase: Phase, column: int) ->
         return
     assert puppet.tick(Request.ARM) == Answer.ACCEPTED
     assert not puppet.record["tee"][0]
-    puppet.run(400)
+    puppet.run(2400)  # an opened guard requires a test motion
     assert puppet.control["phase"] == Phase.HOLD
 
 
