@@ -67,19 +67,26 @@ def owes_answer(s: Any, i: int) -> bool:
 
 
 @compiled
+def _backswing_raises(parameters: Any, i: int) -> bool:
+    """Return whether angle `i` is larger at the end of the backswing than at the address."""
+    top = 0
+    while top < parameters.profile[0].samples - 1 and parameters.phase[top] <= Phase.TOP:
+        top += 1
+    return bool(parameters.angle[top, i] > parameters.angle[0, i])
+
+
+@compiled
 def choose_target(s: Any, parameters: Any, start: Any) -> None:
     """Set the target of a move from angles `start` (3,) rad: the address, or that of a test motion.
 
     A test motion goes as the backswing does, away from ground and ball, unless a stop is in its way.
     """
     p, address, m = parameters.envelope[0], parameters.angle[0], s.move
-    top, m.is_test = 0, False
-    while top < parameters.profile[0].samples - 1 and parameters.phase[top] <= Phase.TOP:
-        top += 1
+    m.is_test = False
     for i in range(3):
         m.target[i] = start[i]
         if s.state == State.ARMED and s.first_motion.answered[i] == 0 and abs(address[i] - start[i]) < _NEAR:
-            travel = _TEST if parameters.angle[top, i] > address[i] else -_TEST
+            travel = _TEST if _backswing_raises(parameters, i) else -_TEST
             m.target[i], m.is_test = start[i] + travel, True
             position, _ = joint_coordinates(parameters.robot, m.target, m.target, i)
             if not p.lower[i] <= position <= p.upper[i]:
