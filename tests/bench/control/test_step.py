@@ -106,6 +106,16 @@ def test_guard_opened_by_force_at_standstill_resets_answers() -> None:
     assert not puppet.control["first_motion"]["answered"].any()
 
 
+def test_guard_opened_by_force_in_brake_resets_answers_at_standstill() -> None:
+    puppet = Puppet()
+    puppet.tick(Request.ARM)
+    puppet.run(500)
+    puppet.give(guard_closed=False).run(3)
+    puppet.give(guard_closed=True).run(3_000)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.GUARD)
+    assert not puppet.control["first_motion"]["answered"].any()
+
+
 def test_arm_starts_reference_at_current_pose() -> None:
     puppet = Puppet()
     puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]
