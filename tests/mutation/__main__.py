@@ -27,18 +27,9 @@ from tests.mutation.trial import ROOT, Trials
 _CONTROL = "tests/bench/control"
 TARGETS = {
     "bench.control.envelope": (f"{_CONTROL}/test_envelope.py",),
-    "bench.control.requests": (
-        f"{_CONTROL}/test_answers.py",
-        f"{_CONTROL}/test_requests.py",
-        f"{_CONTROL}/test_transitions.py",
-    ),
-    "bench.control.states": (f"{_CONTROL}/test_states.py", f"{_CONTROL}/test_transitions.py"),
-    "bench.base.lifecycle": (
-        "tests/bench/base/test_lifecycle.py",
-        f"{_CONTROL}/test_answers.py",
-        f"{_CONTROL}/test_requests.py",
-        f"{_CONTROL}/test_transitions.py",
-    ),
+    "bench.control.requests": (f"{_CONTROL}/test_answers.py",),
+    "bench.control.states": (f"{_CONTROL}/test_answers.py", f"{_CONTROL}/test_states.py"),
+    "bench.base.lifecycle": ("tests/bench/base/test_lifecycle.py", f"{_CONTROL}/test_answers.py"),
 }
 """Modules and the tests that must notice."""
 AT_LEAST = 0.95

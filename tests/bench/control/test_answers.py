@@ -28,7 +28,9 @@ from bench.control.requests import (
     check_request,
     execute_request,
     handle_request,
+    is_released,
     manifold_is_full,
+    monitor_local_reset,
     note_local_reset,
 )
 from bench.control.states import near_address
@@ -304,7 +306,9 @@ def test_check_request_dead_chamber_sensor_refuses_motion_and_access(good: Make,
     ("found", "refusal"),
     [
         ({"shut_off.wrong": True}, Refusal.VENT),
+        ({"sensors.dead": one_dead(0)}, Refusal.SENSOR),
         ({"sensors.dead": one_dead(2)}, Refusal.SENSOR),
+        ({"vents.wrong": (1, 0)}, Refusal.NOT_VENTED),
         ({}, Refusal.NOT_VENTED),
     ],
 )
@@ -325,10 +329,33 @@ def test_manifold_is_full_above_vented_pressure_returns_true(good: Make) -> None
         assert manifold_is_full(situation.parameters.control[0], situation.readings) is full
 
 
-def test_check_request_access_full_manifold_refuses(good: Make) -> None:
+def test_check_request_access_above_holding_pressure_names_manifold(good: Make) -> None:
     situation = good(Request.ACCESS)
-    situation.state.control["vented"], situation.readings["supply_pressure"] = False, 8e5
-    assert situation.refusal(Request.ACCESS) is Refusal.MANIFOLD
+    situation.state.control["vented"] = False
+    bound = situation.parameters.control["holding_pressure"][0]
+    for pressure, refusal in ((bound, Refusal.NOT_VENTED), (np.nextafter(bound, inf), Refusal.MANIFOLD)):
+        situation.readings["supply_pressure"] = pressure
+        assert situation.refusal(Request.ACCESS) is refusal
+
+
+@pytest.mark.parametrize(("since", "refusal"), [(4.0, Refusal.NONE), (4.0 - 2.0**-40, Refusal.NOT_VENTED)])
+def test_check_request_access_within_rest_time_refuses(good: Make, since: float, refusal: Refusal) -> None:
+    situation = good(Request.ACCESS)
+    situation.parameters.control["rest_time_vented"] = 4.0
+    situation.state.control["venting"]["start"] = NOW - since
+    assert situation.refusal(Request.ACCESS) is refusal
+
+
+@pytest.mark.parametrize(("fitted", "pressed"), [(True, NOW), (True, -inf), (False, NOW)])
+def test_check_request_access_with_trapped_air_requires_press(
+    good: Make, fitted: bool, pressed: float
+) -> None:
+    situation = good(Request.ACCESS)
+    situation.parameters.control["local_reset"] = fitted
+    s = situation.state.control
+    s["venting"]["trapped"], s["reset_pressed"] = True, pressed
+    gauge_was_read = fitted and pressed == NOW
+    assert situation.refusal(Request.ACCESS) is (Refusal.NONE if gauge_was_read else Refusal.GAUGE)
 
 
 @pytest.mark.parametrize(("since", "refusal"), [(1.5 - 2.0**-40, Refusal.STOPPED), (1.5, Refusal.NONE)])
@@ -487,12 +514,62 @@ def test_note_local_reset_counts_rising_edge_only(good: Make) -> None:
         (2.0, False, -1.0),
         (3.0, True, 3.0),
         (4.0, True, 3.0),
-        (5.0, False, 3.0),
+        (5.0, True, 3.0),
+        (5.5, False, 3.0),
         (6.0, False, 3.0),
         (7.0, True, 7.0),
     ):
         note_local_reset(s, level, time)
         assert s["reset_pressed"] == pressed, time
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("operational", [True, False])
+def test_monitor_local_reset_low_level_counts_with_device_and_circuit(
+    good: Make, operational: bool, closed: bool
+) -> None:
+    situation = good(Request.RESET)
+    s, r = situation.state.control[0], situation.readings
+    s["device_operational"], r["local_reset"], r["emergency_stop_clear"] = operational, False, closed
+    for before in (True, False):
+        s["reset_was_low"] = before
+        monitor_local_reset(s, r, NOW)
+        assert s["reset_was_low"] == (operational and closed)
+
+
+@pytest.mark.parametrize(
+    ("opened", "state", "counts"),
+    [
+        ((), State.FAULT, True),
+        (("guard_locked",), State.FAULT, False),
+        (("guard_locked",), State.ACCESS, True),
+        ((), State.ACCESS, True),
+        (("guard_closed",), State.ACCESS, False),
+        (("guard_closed",), State.FAULT, False),
+        (("emergency_stop_clear",), State.FAULT, False),
+    ],
+)
+def test_monitor_local_reset_open_interlock_voids_press(
+    good: Make, opened: tuple[str, ...], state: State, counts: bool
+) -> None:
+    situation = good(Request.RESET)
+    s, r = situation.state.control[0], situation.readings
+    s["state"], s["reset_was_low"], r["local_reset"] = state, True, True
+    for name in opened:
+        r[name] = False
+    monitor_local_reset(s, r, NOW)
+    assert s["reset_pressed"] == (NOW if counts else -inf)
+
+
+@pytest.mark.parametrize("state", [State.ACCESS, State.FAULT], ids=lambda state: state.name)
+@pytest.mark.parametrize("opened", [True, False])
+@pytest.mark.parametrize("securing", [True, False])
+def test_is_released_in_access_or_opened_until_secured(
+    good: Make, state: State, opened: bool, securing: bool
+) -> None:
+    s = good(Request.SECURE).state.control[0]
+    s["state"], s["guard_was_opened"], s["securing"] = state, opened, securing
+    assert is_released(s) is ((state is State.ACCESS or opened) and not securing)
 
 
 def executed(situation: Situation, request: Request, state: State) -> Any:
@@ -506,7 +583,44 @@ def executed(situation: Situation, request: Request, state: State) -> Any:
 def test_execute_request_disarm_during_return_waits_for_end(good: Make, state: State, later: bool) -> None:
     s = executed(good(Request.DISARM), Request.DISARM, state)
     assert s["disarming"] == later
-    assert (s["state"] == State.RECOVERING) == later
+    assert s["state"] == (State.RECOVERING if later else State.READY)
+
+
+@pytest.mark.parametrize("homed", [True, False])
+def test_execute_request_reset_clears_cause_and_stop(good: Make, homed: bool) -> None:
+    situation = good(Request.RESET)
+    for name in ("cause", "latest_cause", "reaction", "emergency", "exhausts.slow", "manifold.unproven"):
+        put(situation.state.control, name, 1)
+    situation.state.control["homed"] = homed
+    situation.state.control["reset_pressed"] = situation.state.control["stopped_at"] = NOW
+    s = executed(situation, Request.RESET, State.FAULT)
+    assert s["state"] == (State.READY if homed else State.SAFE)
+    assert (s["cause"], s["latest_cause"], s["reaction"]) == (Cause.NONE, Cause.NONE, Reaction.NONE)
+    assert (s["emergency"], s["manifold"]["excused"], s["exhausts"]["slow"].any()) == (False, True, False)
+    assert (s["reset_pressed"], s["stopped_at"]) == (-inf, -inf)
+
+
+def test_execute_request_arm_moves_after_warning_and_precharge(good: Make) -> None:
+    situation = good(Request.ARM)
+    p = situation.parameters.control
+    p["warning_time"], p["precharge_time"] = 4.0, 2.0
+    situation.state.control["tee"] = situation.state.control["disarming"] = True
+    situation.state.pid["integral"] = 1.0
+    s = executed(situation, Request.ARM, State.READY)
+    assert (s["state"], s["disarming"], s["tee"]) == (State.ARMED, False, False)
+    assert (s["air_from"], s["moving"], s["move"]["start"]) == (NOW + 4.0, True, NOW + 6.0)
+    assert not situation.state.pid["integral"].any()
+
+
+def test_execute_request_swing_begins_profile(good: Make) -> None:
+    situation = good(Request.SWING)
+    situation.parameters.angle[0] = TOLERANCE
+    put(situation.state.control, "swing.struck", True)
+    put(situation.state.control, "swing.fastest_head", 40.0)
+    s = executed(situation, Request.SWING, State.ARMED)
+    assert (s["state"], s["swinging"], s["swings"]) == (State.SWINGING, True, 1)
+    assert (s["swing"]["start"], s["swing"]["struck"], s["swing"]["fastest_head"]) == (NOW, False, 0.0)
+    assert s["reference"].tolist() == TOLERANCE.tolist()
 
 
 def test_execute_request_access_secure_and_tee_set_their_fields(good: Make) -> None:

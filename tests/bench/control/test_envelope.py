@@ -24,6 +24,7 @@ from bench.control.envelope import (
     limit,
     motion_cause,
     readings_cause,
+    relay_closed,
 )
 from bench.control.estimate.estimator import ESTIMATOR_STATE
 from bench.control.settings import ControlSettings, EnvelopeSettings, build_controller
@@ -112,6 +113,7 @@ class Motion:
     phase: Phase = Phase.DOWNSWING
     step: float = 1e-3
     charging: bool = False
+    low: float = 0.0
 
     def cause(self) -> Cause:
         return Cause(
@@ -124,6 +126,7 @@ class Motion:
                 int(self.phase),
                 self.step,
                 self.charging,
+                self.low,
             )
         )
 
@@ -157,6 +160,7 @@ def test_interlock_cause_reports_emergency_stop_before_guard(clear: bool, closed
     r["emergency_stop_clear"], r["guard_closed"], r["guard_locked"] = clear, closed, locked
     guard = Cause.NONE if closed and locked else Cause.GUARD
     assert interlock_cause(r) == (guard if clear else Cause.EMERGENCY_STOP)
+    assert relay_closed(r) is (clear and closed)
 
 
 def test_readings_cause_good_readings_returns_none() -> None:
@@ -428,8 +432,9 @@ def test_motion_cause_head_below_clearance_reports_ground(phase: Phase, window: 
             (-1.0, Cause.GROUND),
             (nan, Cause.GROUND),
         ):
-            p["ground"] = y - 0.02 - height
-            assert motion.cause() is expected
+            for motion.low in (0.0, 0.004):
+                p["ground"] = y - 0.02 - height + motion.low
+                assert motion.cause() is expected
 
 
 def test_clearance_by_ball_with_divot_turns_negative(slow_swing: Profile) -> None:

@@ -1,6 +1,8 @@
-"""The state changes along TRANSITIONS only: any other change is a fault in its tick."""
+"""Functions that change the state, one at a time, on records alone."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -8,113 +10,102 @@ import pytest
 from bench.base.lifecycle import (
     READINGS_LOST,
     READINGS_VALID,
-    TRANSITIONS,
     Cause,
     Phase,
     Reaction,
-    Request,
     State,
 )
 from bench.control.moves.braking import brake_opening
 from bench.control.states import (
     begin_reaction,
+    change_state,
     disarm,
     enter_hold,
     enter_standstill,
+    filter_velocity,
+    is_at_rest,
+    is_slow_now,
     latch,
     latch_exception,
     react,
+    resting_state,
 )
 from bench.control.step_records import ControlParameters, ControlState, new_control_state
-from tests.bench.control.operating import at_power_up, do, on_the_way, reach
-from tests.bench.control.puppet import Puppet
+from tests.bench.control.operating import at_power_up
 
 
-def forbid(puppet: Puppet, source: State, target: State) -> None:
-    """Take a way out of the matrix of `puppet` alone."""
-    puppet.parameters = puppet.parameters._replace(control=puppet.parameters.control.copy())
-    puppet.parameters.control["transitions"][0, source, target] = 0
-
-
-@pytest.mark.parametrize(
-    ("source", "request_", "target"),
-    [
-        (State.READY, Request.ARM, State.ARMED),
-        (State.READY, Request.HOME, State.HOMING),
-        (State.READY, Request.ACCESS, State.ACCESS),
-        (State.FAULT, Request.RESET, State.READY),
-        (State.SAFE, Request.ACCESS, State.ACCESS),
-    ],
-    ids=lambda value: value.name,
-)
-def test_forbidden_transition_on_request_faults_in_same_tick(
-    source: State, request_: Request, target: State
-) -> None:
-    puppet = reach(source)
-    forbid(puppet, source, target)
-    do(request_)(puppet)
-    assert (puppet.bench, puppet.phase, puppet.reaction) == (State.FAULT, Phase.STANDING, Reaction.VENT)
-    assert puppet.control["latest_cause"] == Cause.EXCEPTION
-    assert puppet.cause == (Cause.SUPERVISOR if source is State.FAULT else Cause.EXCEPTION)
-    assert not puppet.record["supply_enable"][0]
-
-
-def test_forbidden_transition_to_swinging_brakes() -> None:
-    puppet = reach(State.ARMED)
-    forbid(puppet, State.ARMED, State.SWINGING)
-    puppet.tick(Request.SWING)
-    assert (puppet.bench, puppet.reaction, puppet.cause) == (State.ARMED, Reaction.BRAKE, Cause.EXCEPTION)
-    assert not puppet.control["swinging"]
-    puppet.run(100)
-    assert (puppet.bench, puppet.phase) == (State.FAULT, Phase.STANDING)
-
-
-def test_forbidden_transition_in_motion_brakes_in_same_tick() -> None:
-    puppet = on_the_way()
-    forbid(puppet, State.ARMED, State.RECOVERING)
-    puppet.tick(Request.DISARM)
-    assert (puppet.bench, puppet.reaction, puppet.cause) == (State.ARMED, Reaction.BRAKE, Cause.EXCEPTION)
-    puppet.run(100)
-    assert (puppet.bench, puppet.phase) == (State.FAULT, Phase.STANDING)
-
-
-@pytest.mark.parametrize("state", [len(State), 255])
-def test_unknown_state_latches_fault(state: int) -> None:
-    puppet = reach(State.READY)
-    puppet.control["state"] = state
-    puppet.give(supervisor_alive=False).tick()
-    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SUPERVISOR)
-    assert puppet.control["latest_cause"] == Cause.EXCEPTION
-
-
-def test_forbidden_transition_to_estop_keeps_emergency() -> None:
-    puppet = reach(State.READY)
-    forbid(puppet, State.READY, State.ESTOP)
-    puppet.give(emergency_stop_clear=False).tick()
-    assert (puppet.bench, puppet.cause) == (State.ESTOP, Cause.EMERGENCY_STOP)
-    assert puppet.control["latest_cause"] == Cause.EXCEPTION
-
-
-def test_reset_after_forbidden_transition_returns_to_ready() -> None:
-    puppet = reach(State.READY)
-    forbid(puppet, State.READY, State.ARMED)
-    puppet.tick(Request.ARM)
-    assert (State.FAULT, State.READY) in {(edge.source, edge.target) for edge in TRANSITIONS}
-    puppet.run(40)
-    puppet.tick(Request.RESET)
-    assert (puppet.bench, puppet.cause) == (State.READY, Cause.NONE)
-
-
-# One function at a time -------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def built() -> ControlParameters:
+    return at_power_up(hold_between_swings=True).parameters
 
 
 @pytest.fixture
-def bench() -> tuple[ControlState, ControlParameters]:
+def bench(built: ControlParameters) -> tuple[ControlState, ControlParameters]:
     """Return a bench that stands in READY, and its parameters."""
-    return new_control_state(State.READY), at_power_up(hold_between_swings=True).parameters
+    return new_control_state(State.READY), ControlParameters(*(record.copy() for record in built))
 
 
 Bench = tuple[ControlState, ControlParameters]
+
+
+def changed(bench: Bench, target: int) -> bool:
+    """Change the state at 2.0 s, as compiled code does: by number."""
+    change: Callable[..., bool] = change_state
+    return change(bench[0].control[0], bench[1], int(target), 2.0)
+
+
+@pytest.mark.parametrize(
+    ("target", "kept"),
+    [(State.ESTOP, False), (State.FAULT, False), (State.ACCESS, False), (State.ARMED, True)],
+)
+def test_change_state_to_latch_or_access_discards_press(bench: Bench, target: State, kept: bool) -> None:
+    s = bench[0].control[0]
+    s["reset_pressed"] = 0.5
+    assert changed(bench, target)
+    assert (s["state"], s["state_since"], s["reset_pressed"]) == (target, 2.0, 0.5 if kept else -np.inf)
+
+
+@pytest.mark.parametrize("source", [State.READY, len(State), 255])
+@pytest.mark.parametrize("emergency", [False, True])
+def test_change_state_forbidden_at_standstill_latches_exception(
+    bench: Bench, source: int, emergency: bool
+) -> None:
+    s = bench[0].control[0]
+    s["state"], s["emergency"], s["securing"], s["reset_pressed"] = source, emergency, True, 0.5
+    assert not changed(bench, State.SWINGING)
+    assert (s["state"], s["state_since"]) == (State.ESTOP if emergency else State.FAULT, 2.0)
+    assert (s["cause"], s["latest_cause"], s["reaction"]) == (Cause.EXCEPTION, Cause.EXCEPTION, Reaction.VENT)
+    assert (s["securing"], s["reset_pressed"]) == (False, -np.inf)
+
+
+def test_change_state_forbidden_in_motion_brakes_and_keeps_first_cause(bench: Bench) -> None:
+    s = bench[0].control[0]
+    s["state"], s["phase"], s["cause"] = State.ARMED, Phase.HOLD, Cause.GUARD
+    assert not changed(bench, State.HOMING)
+    assert (s["state"], s["cause"], s["latest_cause"]) == (State.ARMED, Cause.GUARD, Cause.EXCEPTION)
+    assert (s["reaction"], s["reaction_start"]) == (Reaction.BRAKE, 2.0)
+
+
+def test_filter_velocity_limits_velocity_and_halves_difference_in_time_constant(bench: Bench) -> None:
+    s, p, e = bench[0].control[0], bench[1].control[0], bench[0].estimator[0]
+    p["rest_speed"] = (1.0, 2.0, 4.0)
+    for velocity, expected in (
+        ((0.5, -7.0, np.nan), (0.75, -3.0, 6.0)),
+        ((4.0, 1.0, -np.inf), (2.0, 0.5, 6.0)),
+    ):
+        s["filtered_velocity"], e["velocity"] = (1.0, 0.0, 0.0), velocity
+        filter_velocity(s, p, e, 0.03)
+        assert s["filtered_velocity"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rest_up_to_rest_speed_of_each_joint(bench: Bench, joint: int, sign: float) -> None:
+    s, p, e = bench[0].control[0], bench[1].control[0], bench[0].estimator[0]
+    bound = p["rest_speed"][joint]
+    for speed, rests in ((bound, True), (np.nextafter(bound, np.inf), False), (np.nan, False)):
+        s["filtered_velocity"][joint] = e["velocity"][joint] = sign * speed
+        assert is_at_rest(s, p) == is_slow_now(p, e) == rests
 
 
 def test_begin_reaction_less_severe_keeps_current(bench: Bench) -> None:
@@ -174,39 +165,52 @@ def test_enter_standstill_latches_cause(
     bench: Bench, cause: Cause, emergency: bool, homed: bool, state: State
 ) -> None:
     s = bench[0].control[0]
-    s["cause"], s["emergency"], s["homed"], s["phase"], s["air"] = cause, emergency, homed, Phase.HOLD, True
+    s["cause"], s["emergency"], s["homed"], s["phase"] = cause, emergency, homed, Phase.HOLD
+    under_way = ("swinging", "moving", "disarming", "air", "vented")
+    for name in under_way:
+        s[name] = True
+    s["venting"]["emptied"] = True
+    assert resting_state(s) == state
     enter_standstill(s, bench[1], 3.0)
-    assert (s["state"], s["phase"], bool(s["air"]), s["venting"]["start"]) == (
-        state,
-        Phase.STANDING,
-        False,
-        3.0,
-    )
+    assert (s["state"], s["phase"]) == (state, Phase.STANDING)
+    assert not any(s[name] for name in under_way)
+    assert s["venting"][["emptied", "start", "empty_since"]].tolist() == (False, 3.0, 3.0)
     assert s["reaction"] == (Reaction.VENT if cause else Reaction.NONE)
 
 
 def test_latch_keeps_first_cause_until_emergency(bench: Bench) -> None:
     s = bench[0].control[0]
+    s["securing"] = True
     for cause, kept in (
         (Cause.GUARD, Cause.GUARD),
         (Cause.SUPERVISOR, Cause.GUARD),
         (Cause.EMERGENCY_STOP, Cause.EMERGENCY_STOP),
         (Cause.NETWORK_STOP, Cause.EMERGENCY_STOP),
+        (Cause.GUARD, Cause.EMERGENCY_STOP),
     ):
         latch(s, bench[1], cause, 1.0)
         assert (s["cause"], s["latest_cause"]) == (kept, cause)
-    assert s["state"] == State.ESTOP
+    assert (s["state"], s["reaction"], s["securing"]) == (State.ESTOP, Reaction.VENT, False)
 
 
-def test_react_lasting_cause_keeps_later_cause_visible() -> None:
-    puppet = reach(State.SWINGING)
-    s = puppet.state.control[0]
+@pytest.mark.parametrize(
+    ("before", "after"), [(0, Cause.GUARD), (Cause.EMERGENCY_STOP,) * 2, (Cause.WRIST_AIR,) * 2]
+)
+def test_react_lasting_cause_keeps_later_cause_visible(bench: Bench, before: int, after: Cause) -> None:
+    s = bench[0].control[0]
+    s["phase"], s["cause"], s["latest_cause"] = Phase.DOWNSWING, Cause.GUARD, before
     for tick in range(3):
-        react(puppet.state, puppet.parameters, int(Cause.GUARD), READINGS_VALID, 1.0 + 1e-3 * tick)
-        assert (s["cause"], s["latest_cause"]) == (Cause.GUARD, Cause.GUARD)
-    react(puppet.state, puppet.parameters, int(Cause.WRIST_AIR), READINGS_VALID, 1.003)
-    react(puppet.state, puppet.parameters, int(Cause.GUARD), READINGS_VALID, 1.004)
-    assert (s["cause"], s["latest_cause"]) == (Cause.GUARD, Cause.WRIST_AIR)
+        react(*bench, int(Cause.GUARD), READINGS_VALID, 1.0 + 1e-3 * tick)
+        assert (s["cause"], s["latest_cause"]) == (Cause.GUARD, after)
+
+
+@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize("cause", [Cause.GUARD, Cause.EMERGENCY_STOP])
+def test_react_emergency_is_kept(bench: Bench, before: bool, cause: Cause) -> None:
+    s = bench[0].control[0]
+    s["phase"], s["emergency"] = Phase.DOWNSWING, before
+    react(*bench, int(cause), READINGS_VALID, 1.0)
+    assert (s["emergency"], s["cause"]) == (before or cause is Cause.EMERGENCY_STOP, cause)
 
 
 def test_react_lost_reading_at_rest_vents_and_suspects_encoders(bench: Bench) -> None:
@@ -216,14 +220,18 @@ def test_react_lost_reading_at_rest_vents_and_suspects_encoders(bench: Bench) ->
     assert (s["state"], s["reaction"], s["cause"]) == (State.FAULT, Reaction.VENT, Cause.ARM_ENCODER)
     assert s["encoders_suspect"]
     react(state, parameters, int(Cause.GUARD), READINGS_VALID, 2.0)
-    assert (s["cause"], s["latest_cause"]) == (Cause.ARM_ENCODER, Cause.GUARD)
+    assert (s["cause"], s["latest_cause"], s["encoders_suspect"]) == (Cause.ARM_ENCODER, Cause.GUARD, True)
 
 
-@pytest.mark.parametrize("joint", range(3))
-def test_react_following_error_suspects_encoders(joint: int) -> None:
-    puppet = reach(State.SWINGING)
-    react(puppet.state, puppet.parameters, int(Cause.SHOULDER_FOLLOWING) + joint, READINGS_VALID, 1.0)
-    assert puppet.control["encoders_suspect"]
+def test_react_misfit_suspects_encoders_and_index_clears_homed(bench: Bench) -> None:
+    s = bench[0].control[0]
+    kinds = ("FOLLOWING", "AIR", "VELOCITY", "JUMP", "EFFORT", "FLOW", "SENSOR", "ZERO")
+    misfits = {f"{joint}_{kind}" for joint in ("SHOULDER", "ARM", "WRIST") for kind in kinds}
+    for cause in list(Cause)[1:]:
+        s["phase"], s["homed"], s["encoders_suspect"] = Phase.DOWNSWING, True, False
+        react(*bench, int(cause), READINGS_VALID, 1.0)
+        assert s["encoders_suspect"] == (cause.name in misfits), cause.name
+        assert s["homed"] == (not cause.name.endswith("_INDEX")), cause.name
 
 
 @pytest.mark.parametrize(
@@ -261,14 +269,6 @@ def test_enter_hold_returns_to_armed_in_series(
     s["phase"], s["state"], s["reaction"], s["lease_held"] = Phase.RETURN, before, reaction, held
     enter_hold(s, bench[1], 1.0)
     assert s["state"] == after
-
-
-@pytest.mark.parametrize("cause", [Cause.SHOULDER_INDEX, Cause.WRIST_INDEX], ids=lambda cause: cause.name)
-def test_react_index_cause_clears_homed(bench: Bench, cause: Cause) -> None:
-    s = bench[0].control[0]
-    s["homed"] = True
-    react(bench[0], bench[1], cause, READINGS_VALID, 1.0)
-    assert not s["homed"]
 
 
 def test_latch_exception_clears_activity_and_faults(bench: Bench) -> None:

@@ -323,3 +323,81 @@ def test_stop_at_rest_keeps_state() -> None:
         puppet = reach(source)
         assert asked(puppet, Request.STOP) is Refusal.NONE
         assert (puppet.bench, puppet.cause) == (source, Cause.NONE)
+
+
+# A change that the table forbids ----------------------------------------------------------------------
+
+
+def forbid(puppet: Puppet, source: State, target: State) -> None:
+    """Take a way out of the matrix of `puppet` alone."""
+    puppet.parameters = puppet.parameters._replace(control=puppet.parameters.control.copy())
+    puppet.parameters.control["transitions"][0, source, target] = 0
+
+
+@pytest.mark.parametrize(
+    ("source", "request_", "target"),
+    [
+        (State.READY, Request.ARM, State.ARMED),
+        (State.READY, Request.HOME, State.HOMING),
+        (State.READY, Request.ACCESS, State.ACCESS),
+        (State.FAULT, Request.RESET, State.READY),
+        (State.SAFE, Request.ACCESS, State.ACCESS),
+    ],
+    ids=lambda value: value.name,
+)
+def test_forbidden_transition_on_request_faults_in_same_tick(
+    source: State, request_: Request, target: State
+) -> None:
+    puppet = reach(source)
+    forbid(puppet, source, target)
+    do(request_)(puppet)
+    assert (puppet.bench, puppet.phase, puppet.reaction) == (State.FAULT, Phase.STANDING, Reaction.VENT)
+    assert puppet.control["latest_cause"] == Cause.EXCEPTION
+    assert puppet.cause == (Cause.SUPERVISOR if source is State.FAULT else Cause.EXCEPTION)
+    assert not puppet.record["supply_enable"][0]
+
+
+def test_forbidden_transition_to_swinging_brakes() -> None:
+    puppet = reach(State.ARMED)
+    forbid(puppet, State.ARMED, State.SWINGING)
+    puppet.tick(Request.SWING)
+    assert (puppet.bench, puppet.reaction, puppet.cause) == (State.ARMED, Reaction.BRAKE, Cause.EXCEPTION)
+    assert not puppet.control["swinging"]
+    puppet.run(100)
+    assert (puppet.bench, puppet.phase) == (State.FAULT, Phase.STANDING)
+
+
+def test_forbidden_transition_in_motion_brakes_in_same_tick() -> None:
+    puppet = on_the_way()
+    forbid(puppet, State.ARMED, State.RECOVERING)
+    puppet.tick(Request.DISARM)
+    assert (puppet.bench, puppet.reaction, puppet.cause) == (State.ARMED, Reaction.BRAKE, Cause.EXCEPTION)
+    puppet.run(100)
+    assert (puppet.bench, puppet.phase) == (State.FAULT, Phase.STANDING)
+
+
+@pytest.mark.parametrize("state", [len(State), 255])
+def test_unknown_state_latches_fault(state: int) -> None:
+    puppet = reach(State.READY)
+    puppet.control["state"] = state
+    puppet.give(supervisor_alive=False).tick()
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SUPERVISOR)
+    assert puppet.control["latest_cause"] == Cause.EXCEPTION
+
+
+def test_forbidden_transition_to_estop_keeps_emergency() -> None:
+    puppet = reach(State.READY)
+    forbid(puppet, State.READY, State.ESTOP)
+    puppet.give(emergency_stop_clear=False).tick()
+    assert (puppet.bench, puppet.cause) == (State.ESTOP, Cause.EMERGENCY_STOP)
+    assert puppet.control["latest_cause"] == Cause.EXCEPTION
+
+
+def test_reset_after_forbidden_transition_returns_to_ready() -> None:
+    puppet = reach(State.READY)
+    forbid(puppet, State.READY, State.ARMED)
+    puppet.tick(Request.ARM)
+    assert (State.FAULT, State.READY) in {(edge.source, edge.target) for edge in TRANSITIONS}
+    puppet.run(40)
+    puppet.tick(Request.RESET)
+    assert (puppet.bench, puppet.cause) == (State.READY, Cause.NONE)
