@@ -432,8 +432,8 @@ def test_motion_cause_head_below_clearance_reports_ground(phase: Phase, window: 
             (-1.0, Cause.GROUND),
             (nan, Cause.GROUND),
         ):
-            for motion.low in (0.0, 0.004):
-                p["ground"] = y - 0.02 - height + motion.low
+            for low in (0.0, 0.004):
+                motion.low, p["ground"] = low, y - 0.02 - height + low
                 assert motion.cause() is expected
 
 

@@ -211,6 +211,7 @@ def test_react_emergency_is_kept(bench: Bench, before: bool, cause: Cause) -> No
     s["phase"], s["emergency"] = Phase.DOWNSWING, before
     react(*bench, int(cause), READINGS_VALID, 1.0)
     assert (s["emergency"], s["cause"]) == (before or cause is Cause.EMERGENCY_STOP, cause)
+    assert (s["phase"], s["reaction"]) == (Phase.DOWNSWING, Reaction.BRAKE)
 
 
 def test_react_lost_reading_at_rest_vents_and_suspects_encoders(bench: Bench) -> None:
@@ -235,52 +236,63 @@ def test_react_misfit_suspects_encoders_and_index_clears_homed(bench: Bench) -> 
 
 
 @pytest.mark.parametrize(
-    ("phase", "before", "reaction", "after"),
+    ("phase", "air", "before", "reaction", "after"),
     [
-        (Phase.HOLD, State.ARMED, Reaction.NONE, State.READY),
-        (Phase.RETURN, State.ARMED, Reaction.NONE, State.RECOVERING),
-        (Phase.HOMING, State.HOMING, Reaction.NONE, State.HOMING),
-        (Phase.RETURN, State.RECOVERING, Reaction.BRAKE, State.RECOVERING),
+        (Phase.HOLD, True, State.ARMED, Reaction.NONE, State.READY),
+        (Phase.RETURN, False, State.ARMED, Reaction.NONE, State.READY),
+        (Phase.RETURN, True, State.ARMED, Reaction.NONE, State.RECOVERING),
+        (Phase.HOMING, True, State.HOMING, Reaction.NONE, State.HOMING),
+        (Phase.RETURN, True, State.RECOVERING, Reaction.BRAKE, State.RECOVERING),
     ],
 )
 def test_disarm_vents_at_hold_and_brakes_in_motion(
-    bench: Bench, phase: Phase, before: State, reaction: Reaction, after: State
+    bench: Bench, phase: Phase, air: bool, before: State, reaction: Reaction, after: State
 ) -> None:
     s = bench[0].control[0]
-    s["phase"], s["state"], s["reaction"], s["air"], s["moving"] = phase, before, reaction, True, True
+    s["phase"], s["state"], s["reaction"], s["air"], s["moving"] = phase, before, reaction, air, True
     disarm(s, bench[1], 1.0)
     assert s["state"] == after
-    assert s["reaction"] == (Reaction.NONE if phase is Phase.HOLD else Reaction.BRAKE)
+    assert s["reaction"] == (Reaction.NONE if after is State.READY else Reaction.BRAKE)
+    assert s["moving"] == (reaction is Reaction.BRAKE)  # a brake under way goes on
 
 
 @pytest.mark.parametrize(
-    ("before", "held", "reaction", "after"),
+    ("before", "differs", "reaction", "after"),
     [
-        (State.ARMED, True, Reaction.NONE, State.ARMED),
-        (State.RECOVERING, True, Reaction.NONE, State.ARMED),
-        (State.RECOVERING, False, Reaction.NONE, State.READY),
-        (State.RECOVERING, True, Reaction.COMPLETE, State.RECOVERING),
+        (State.ARMED, "", Reaction.NONE, State.ARMED),
+        (State.RECOVERING, "", Reaction.NONE, State.ARMED),
+        (State.RECOVERING, "lease_held", Reaction.NONE, State.READY),
+        (State.RECOVERING, "support_ready", Reaction.NONE, State.READY),
+        (State.RECOVERING, "disarming", Reaction.NONE, State.READY),
+        (State.RECOVERING, "hold_between_swings", Reaction.NONE, State.READY),
+        (State.RECOVERING, "", Reaction.COMPLETE, State.RECOVERING),
     ],
 )
 def test_enter_hold_returns_to_armed_in_series(
-    bench: Bench, before: State, held: bool, reaction: Reaction, after: State
+    bench: Bench, before: State, differs: str, reaction: Reaction, after: State
 ) -> None:
-    s = bench[0].control[0]
-    s["phase"], s["state"], s["reaction"], s["lease_held"] = Phase.RETURN, before, reaction, held
+    s, p = bench[0].control[0], bench[1].control[0]
+    s["phase"], s["state"], s["reaction"], s["moving"] = Phase.RETURN, before, reaction, True
+    if differs:
+        record = p if differs == "hold_between_swings" else s
+        record[differs] = not record[differs]
     enter_hold(s, bench[1], 1.0)
-    assert s["state"] == after
+    assert (s["state"], s["moving"]) == (after, False)
+    assert s["phase"] == (Phase.STANDING if after is State.READY else Phase.HOLD)
 
 
 def test_latch_exception_clears_activity_and_faults(bench: Bench) -> None:
     control = bench[0].control
-    control["phase"], control["state"], control["swinging"] = Phase.BACKSWING, State.SWINGING, True
+    control["phase"], control["state"] = Phase.BACKSWING, State.SWINGING
     under_way = ("swinging", "moving", "disarming", "air", "vented", "tee")
     for name in under_way:
         control[name] = True
+    control["venting"]["emptied"] = True
     latch_exception(control, bench[1], 1.0)
     s = control[0]
     assert not any(s[name] for name in under_way)
-    assert (s["phase"], s["state"], s["venting"]["start"]) == (Phase.STANDING, State.FAULT, 1.0)
+    assert (s["phase"], s["state"]) == (Phase.STANDING, State.FAULT)
+    assert s["venting"][["emptied", "start", "empty_since"]].tolist() == (False, 1.0, 1.0)
     assert (s["cause"], s["reaction"]) == (Cause.EXCEPTION, Reaction.PASSIVE)
 
 
