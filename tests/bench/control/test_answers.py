@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from math import inf, nan
 from typing import Any
 
@@ -351,8 +351,7 @@ def test_check_request_access_with_trapped_air_requires_press(
     good: Make, fitted: bool, pressed: float
 ) -> None:
     situation = good(Request.ACCESS)
-    situation.parameters.control["local_reset"] = fitted
-    s = situation.state.control
+    s, situation.parameters.control["local_reset"] = situation.state.control, fitted
     s["venting"]["trapped"], s["reset_pressed"] = True, pressed
     gauge_was_read = fitted and pressed == NOW
     assert situation.refusal(Request.ACCESS) is (Refusal.NONE if gauge_was_read else Refusal.GAUGE)
@@ -523,53 +522,44 @@ def test_note_local_reset_counts_rising_edge_only(good: Make) -> None:
         assert s["reset_pressed"] == pressed, time
 
 
-@pytest.mark.parametrize("closed", [True, False])
-@pytest.mark.parametrize("operational", [True, False])
-def test_monitor_local_reset_low_level_counts_with_device_and_circuit(
-    good: Make, operational: bool, closed: bool
-) -> None:
+def test_monitor_local_reset_low_level_counts_with_device_and_circuit(good: Make) -> None:
     situation = good(Request.RESET)
     s, r = situation.state.control[0], situation.readings
-    s["device_operational"], r["local_reset"], r["emergency_stop_clear"] = operational, False, closed
-    for before in (True, False):
-        s["reset_was_low"] = before
+    for operational, clear, before in product((True, False), repeat=3):
+        s["device_operational"], s["reset_was_low"], r["emergency_stop_clear"] = operational, before, clear
         monitor_local_reset(s, r, NOW)
-        assert s["reset_was_low"] == (operational and closed)
+        assert s["reset_was_low"] == (operational and clear)
 
 
 @pytest.mark.parametrize(
-    ("opened", "state", "counts"),
+    ("state", "opened", "counts"),
     [
-        ((), State.FAULT, True),
-        (("guard_locked",), State.FAULT, False),
-        (("guard_locked",), State.ACCESS, True),
-        ((), State.ACCESS, True),
-        (("guard_closed",), State.ACCESS, False),
-        (("guard_closed",), State.FAULT, False),
-        (("emergency_stop_clear",), State.FAULT, False),
+        (State.FAULT, None, True),
+        (State.ACCESS, None, True),
+        (State.FAULT, "guard_locked", False),
+        (State.ACCESS, "guard_locked", True),
+        (State.ACCESS, "guard_closed", False),
+        (State.FAULT, "guard_closed", False),
+        (State.FAULT, "emergency_stop_clear", False),
     ],
 )
 def test_monitor_local_reset_open_interlock_voids_press(
-    good: Make, opened: tuple[str, ...], state: State, counts: bool
+    good: Make, state: State, opened: str | None, counts: bool
 ) -> None:
     situation = good(Request.RESET)
     s, r = situation.state.control[0], situation.readings
     s["state"], s["reset_was_low"], r["local_reset"] = state, True, True
-    for name in opened:
-        r[name] = False
+    if opened:
+        r[opened] = False
     monitor_local_reset(s, r, NOW)
     assert s["reset_pressed"] == (NOW if counts else -inf)
 
 
-@pytest.mark.parametrize("state", [State.ACCESS, State.FAULT], ids=lambda state: state.name)
-@pytest.mark.parametrize("opened", [True, False])
-@pytest.mark.parametrize("securing", [True, False])
-def test_is_released_in_access_or_opened_until_secured(
-    good: Make, state: State, opened: bool, securing: bool
-) -> None:
+def test_is_released_in_access_or_opened_until_secured(good: Make) -> None:
     s = good(Request.SECURE).state.control[0]
-    s["state"], s["guard_was_opened"], s["securing"] = state, opened, securing
-    assert is_released(s) is ((state is State.ACCESS or opened) and not securing)
+    for state, opened, securing in product((State.ACCESS, State.FAULT), (True, False), (True, False)):
+        s["state"], s["guard_was_opened"], s["securing"] = state, opened, securing
+        assert is_released(s) is ((state is State.ACCESS or opened) and not securing)
 
 
 def executed(situation: Situation, request: Request, state: State) -> Any:

@@ -259,7 +259,7 @@ def test_disarm_vents_at_hold_and_brakes_in_motion(
 @pytest.mark.parametrize(
     ("before", "differs", "reaction", "after"),
     [
-        (State.ARMED, "", Reaction.NONE, State.ARMED),
+        (State.ARMED, "lease_held", Reaction.NONE, State.ARMED),
         (State.RECOVERING, "", Reaction.NONE, State.ARMED),
         (State.RECOVERING, "lease_held", Reaction.NONE, State.READY),
         (State.RECOVERING, "support_ready", Reaction.NONE, State.READY),
