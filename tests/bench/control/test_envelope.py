@@ -113,7 +113,7 @@ class Motion:
     phase: Phase = Phase.DOWNSWING
     step: float = 1e-3
     charging: bool = False
-    low: float = 0.0
+    low: tuple[float, ...] = ()
 
     def cause(self) -> Cause:
         return Cause(
@@ -126,7 +126,7 @@ class Motion:
                 int(self.phase),
                 self.step,
                 self.charging,
-                self.low,
+                *self.low,
             )
         )
 
@@ -432,8 +432,8 @@ def test_motion_cause_head_below_clearance_reports_ground(phase: Phase, window: 
             (-1.0, Cause.GROUND),
             (nan, Cause.GROUND),
         ):
-            for low in (0.0, 0.004):
-                motion.low, p["ground"] = low, y - 0.02 - height + low
+            for low in ((), (0.004,)):
+                motion.low, p["ground"] = low, y - 0.02 - height + sum(low)
                 assert motion.cause() is expected
 
 
