@@ -15,8 +15,10 @@ from bench.base.lifecycle import (
     EMERGENCIES,
     EMERGENCY,
     NEEDS_LEASE,
+    PASSING,
     READINGS_LOST,
     READINGS_VALID,
+    REFUSAL_TEXT,
     REFUSAL_WORDS,
     STOP_REACTIONS,
     TRANSITIONS,
@@ -54,10 +56,11 @@ def test_accepted_table_matches_accepted_in_with_stop_in_every_state() -> None:
     assert not table[Request.NONE].any()
 
 
-def test_cause_text_is_unique_for_every_cause() -> None:
-    assert set(CAUSE_TEXT) == set(Cause)
-    assert len(set(CAUSE_TEXT.values())) == len(Cause)
-    for text in CAUSE_TEXT.values():
+@pytest.mark.parametrize(("texts", "kind"), [(CAUSE_TEXT, Cause), (REFUSAL_TEXT, Refusal)])
+def test_text_is_unique_for_every_cause_and_refusal(texts: dict[IntEnum, str], kind: type[IntEnum]) -> None:
+    assert set(texts) == set(kind)
+    assert len(set(texts.values())) == len(kind)
+    for text in texts.values():
         assert text.strip() == text != ""
 
 
@@ -213,7 +216,7 @@ def test_transition_table_allows_only_edges_and_same_state() -> None:
     assert table.shape == CONTROL_PARAMETERS["transitions"].shape
     ways = {(edge.source, edge.target) for edge in TRANSITIONS} | {(state, state) for state in State}
     for source, target in np.ndindex(table.shape):
-        assert bool(table[source, target]) is ((State(source), State(target)) in ways)
+        assert table[source, target] == ((State(source), State(target)) in ways)
 
 
 def test_accepted_in_matches_expected_states() -> None:
@@ -237,6 +240,12 @@ def test_needs_lease_excludes_only_motion_ending_requests() -> None:
 
 def test_emergencies_match_expected_causes() -> None:
     assert {cause.name for cause in EMERGENCIES} == {"EMERGENCY_STOP", "NETWORK_STOP", "POWER_UP", "RESTART"}
+
+
+def test_passing_matches_expected_refusals() -> None:
+    assert {refusal.name for refusal in PASSING} == set(
+        "MOVING NOT_VENTED MANIFOLD NOT_AT_ADDRESS AIR".split()
+    )
 
 
 @pytest.mark.parametrize("kind", [State, Request, Answer, Refusal])
