@@ -81,7 +81,7 @@ faults: $(VENV)/.dev  ## the whole matrix of faults, signals and phases, and the
 	[ $$unsafe -le 1 ]; $(BIN)/golfbench faults table data/faults/matrix.json --output sim/FAULTS.md; \
 	$(BIN)/golfbench faults file data/faults/matrix.json --output sim/HAZARDS.md; exit $$unsafe
 
-mutation: $(VENV)/.dev  ## do the tests of envelope and lifecycle notice small mistakes put into them?
+mutation: $(VENV)/.dev  ## do the tests notice small mistakes in the safety code? (20 minutes)
 	@$(BIN)/python -m tests.mutation $(ARGS)
 
 test-vm: $(VENV)/.dev  ## the driver on a real CAN stack in a virtual machine (root, Debian's packages for it)
