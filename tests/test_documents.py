@@ -156,11 +156,30 @@ def test_floors_drawing_matches_import_contracts() -> None:
     assert _floors((ROOT / "bench/README.md").read_text()) == contracts
 
 
-def test_change_table_rows_name_files() -> None:
-    table = _section("bench/README.md", "Where do I change")
-    rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
-    assert len(rows) >= 20
-    assert [row for row in rows if not PATH_IN_TEXT.search(row)] == []
+def _named(row: str) -> tuple[list[Path], list[str], list[str]]:
+    """Return the files that a row of the table of changes names, those that are missing, and its symbols."""
+    found, missing, symbols = list[Path](), list[str](), list[str]()
+    for word in re.findall(r"`([^`]+)`", row):
+        if re.fullmatch(r"[\w./@-]+(\.\w+|/)|Makefile|\.ci/run", word):
+            near = (folder for path in reversed(found) for folder in (path, *path.parents[:2]))
+            paths = [folder / word for folder in (ROOT, *near) if (folder / word).exists()]
+            found += paths[:1]
+            missing += [] if paths else [word]
+        elif re.fullmatch(r"[A-Za-z_]\w*", word):
+            symbols.append(word)
+    return found, missing, symbols
+
+
+def test_change_table_files_and_symbols_exist() -> None:
+    rows = _section("bench/README.md", "Where do I change").partition("|---|---|\n")[2].split("\n\n")[0]
+    wrong = []
+    for row in rows.splitlines():
+        found, missing, symbols = _named(row.partition(" | ")[2])
+        text = "".join(path.read_text() for path in found if path.is_file())
+        wrong += missing + [name for name in symbols if not re.search(rf"\b{name}\b", text)]
+        wrong += [] if found else [row]
+    assert len(rows.splitlines()) >= 20
+    assert wrong == []
 
 
 def test_fault_matrix_figures_match_documents() -> None:
