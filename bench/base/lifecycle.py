@@ -506,7 +506,10 @@ TRANSITIONS = (
         for s in _LATCHES
     ),
     *(Transition(s, "fault", _S.FAULT, "at standstill", "stopping table, then vent") for s in _LATCHES),
-    *(Transition(s, "stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _MOVES),
+    *(
+        Transition(s, "stop", _S.FAULT, "at standstill", "stopping table, then vent")
+        for s in (_S.SAFE, _S.READY, *_MOVES)
+    ),
     Transition(_S.FAULT, "emergency stop", _S.ESTOP),
 )
 """All transitions between states; the control step takes no other. Requests have the names in `Request`."""

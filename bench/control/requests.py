@@ -161,7 +161,7 @@ def check_request(state: Any, parameters: Any, readings: Any, request: int, time
         return Refusal.NONE if _is_confirmed(p, s, time) else Refusal.LOCAL_RESET
     if request in (Request.ARM, Request.SWING, Request.RESET, Request.HOME):
         interlock = interlock_cause(readings)
-        if interlock != 0:
+        if interlock != 0 or is_released(s):  # a contact that bounces shows a released lock as locked
             return Refusal.EMERGENCY_STOP if interlock == Cause.EMERGENCY_STOP else Refusal.GUARD
         if s.encoder_fault != 0:
             return Refusal.READINGS

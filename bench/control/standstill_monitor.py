@@ -177,8 +177,8 @@ def monitor_standstill(
         if s.is_warmed_up:
             latch(s, parameters, int(s.first_cause), time)
         return
-    if not readings[0].guard_closed or Cause.GUARD in (s.cause, s.latest_cause):
-        forget_answers(s)  # also if its lock was forced: a person may have been inside
+    if is_released(s) or not readings[0].guard_closed or Cause.GUARD in (s.cause, s.latest_cause):
+        forget_answers(s)  # a person may have been inside, also through a guard with a bridged switch
     if is_released(s) and not readings[0].guard_closed:
         s.guard_was_opened = True
     elif s.securing and s.state != State.ACCESS:
@@ -202,7 +202,7 @@ def monitor_standstill(
         latch(s, parameters, Cause.TICK_GAP, time)
     elif interlock != 0:
         latch(s, parameters, interlock, time)
-    elif asked != 0 and s.state == State.HOMING:
+    elif asked != 0:  # also at rest: a client that would arm next sees that a person wants no motion
         latch(s, parameters, asked, time)
     elif s.encoder_fault != 0 and s.encoders_seen_valid and s.state != State.SAFE:
         latch(s, parameters, int(s.encoder_fault), time)

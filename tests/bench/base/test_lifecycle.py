@@ -177,10 +177,10 @@ WAYS = """
 STARTING: warmed up > ESTOP
 ESTOP: reset > SAFE, reset > READY, access > ACCESS
 FAULT: reset > SAFE, reset > READY, access > ACCESS, emergency stop > ESTOP
-SAFE: home > HOMING, access > ACCESS, emergency stop > ESTOP, fault > FAULT
+SAFE: home > HOMING, access > ACCESS, emergency stop > ESTOP, fault > FAULT, stop > FAULT
 HOMING: homed > READY, disarm > SAFE, emergency stop > ESTOP, fault > FAULT, stop > FAULT
 READY: home > HOMING, arm > ARMED, access > ACCESS, emergency stop > ESTOP, fault > FAULT
-READY: index missing > SAFE
+READY: stop > FAULT, index missing > SAFE
 ARMED: swing > SWINGING, disarm > READY, disarm > RECOVERING, emergency stop > ESTOP, fault > FAULT
 ARMED: stop > FAULT
 SWINGING: swing over > RECOVERING, emergency stop > ESTOP, fault > FAULT, stop > FAULT

@@ -160,6 +160,9 @@ CONDITIONS = (
         "readings",
         {"guard_closed": False},
     ),
+    Condition(
+        "lock released, seen locked", Refusal.GUARD, MOVES_OR_RESETS, "control", {"guard_was_opened": True}
+    ),
     Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"encoder_fault": Cause.ARM_ENCODER}),
     Condition("supervisor", Refusal.SUPERVISOR, MOVES_OR_RESETS, "control", {"supervisor_alive": False}),
     Condition("lock", Refusal.LOCK, MOVES_OR_RESETS, "control", {"lock.wrong": True}),

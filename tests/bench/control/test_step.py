@@ -37,6 +37,7 @@ from bench.swing.profile import Profile
 from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, unpack_command
+from tests.bench.control.operating import reach
 from tests.bench.control.puppet import (
     ADDRESS,
     BEGINS,
@@ -102,6 +103,13 @@ def test_guard_opened_by_force_at_standstill_resets_answers() -> None:
     puppet.run(10)
     assert puppet.control["first_motion"]["answered"].all()
     puppet.readings["guard_closed"] = False
+    puppet.tick()
+    assert not puppet.control["first_motion"]["answered"].any()
+
+
+def test_access_through_guard_with_bridged_switch_resets_answers() -> None:
+    puppet = reach(State.ACCESS)
+    assert puppet.readings["guard_closed"].all()
     puppet.tick()
     assert not puppet.control["first_motion"]["answered"].any()
 
@@ -241,7 +249,7 @@ def test_stop_accepted_in_each_phase(phase: Phase) -> None:
     puppet = entered(phase)
     assert puppet.tick(Request.STOP) == Answer.ACCEPTED
     assert puppet.tick(Request.STOP) == Answer.ACCEPTED
-    assert puppet.cause is (Cause.NONE if phase is Phase.STANDING else Cause.OPERATOR_STOP)
+    assert puppet.cause is Cause.OPERATOR_STOP
     puppet.readings["encoder_valid"] = 0
     puppet.run(20)
     assert puppet.tick(Request.STOP) == Answer.ACCEPTED

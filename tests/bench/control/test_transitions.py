@@ -318,11 +318,21 @@ def test_secure_guard_not_locked_in_time_faults() -> None:
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.GUARD)
 
 
-def test_stop_at_rest_keeps_state() -> None:
-    for source in (S.SAFE, S.READY, S.ACCESS):
-        puppet = reach(source)
-        assert asked(puppet, Request.STOP) is Refusal.NONE
-        assert (puppet.bench, puppet.cause) == (source, Cause.NONE)
+def test_stop_in_access_keeps_state() -> None:
+    puppet = reach(S.ACCESS)
+    assert asked(puppet, Request.STOP) is Refusal.NONE
+    assert (puppet.bench, puppet.cause) == (S.ACCESS, Cause.NONE)
+
+
+@pytest.mark.parametrize("source", [S.SAFE, S.READY])
+def test_stop_at_rest_latches_until_reset(source: State) -> None:
+    puppet = reach(source)
+    assert asked(puppet, Request.STOP) is Refusal.NONE
+    assert (puppet.bench, puppet.cause) == (S.FAULT, Cause.OPERATOR_STOP)
+    puppet.run(2000)
+    assert asked(puppet, Request.ARM) is Refusal.STATE
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+    assert puppet.bench is source
 
 
 # A change that the table forbids ----------------------------------------------------------------------
