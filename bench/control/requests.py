@@ -128,8 +128,9 @@ def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
     # A robot at power-up may still sink: its rest is not verified yet.
     if not (s.vented and time - s.venting.start >= p.rest_time_vented):
         return _not_vented(p, s, readings)
-    # Time and a vent's position prove no flow: without a sensor's evidence a person reads the gauge.
-    read = p.local_reset and _is_confirmed(p, s, time)
+    # Time and a vent's position prove no flow: without a sensor's evidence a person reads the gauge. Even
+    # after a press the first request is refused: its sender learns that the supply is locked.
+    read = p.local_reset and _is_confirmed(p, s, time) and s.refusal == Refusal.GAUGE
     unread = (s.venting.trapped or not all_chambers_are_seen(s.sensors)) and not read
     return Refusal.GAUGE.value if unread else Refusal.NONE.value
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Refusal, Request
-from bench.control.monitor.pressure_monitor import all_chambers_are_seen, chambers_show_pressure
+from bench.control.monitor.pressure_monitor import chambers_show_pressure
 from bench.control.states import near_address
 from bench.loop.loop import Cycles, Stepper, bring_to_rest
 from bench.records.telemetry.cycle_record import CYCLE
@@ -140,10 +140,6 @@ class SwingOperator(Generic[AnyStepper]):
     def shows_no_pressure(self) -> bool:
         """Return whether no living sensor shows pressure in its chamber."""
         return not chambers_show_pressure(self.control["sensors"][0], self.stepper.parameters.control[0])
-
-    def sees_all_chambers(self) -> bool:
-        """Return whether a living sensor shows each chamber's pressure."""
-        return bool(all_chambers_are_seen(self.control["sensors"][0]))
 
     def arm(self, *, at_rest: bool = True) -> bool:
         """Charge the chambers of the robot once it is vented, and take it to its address.

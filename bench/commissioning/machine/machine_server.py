@@ -111,7 +111,6 @@ class LiveSeries:
         for permission in ("supervisor_alive", "lease_held", "support_ready"):
             control[permission] = True  # no other client; the caller stores the records
         self._operator = SwingOperator(loop, stop=stop, name=bench.profile.name)
-        self._operator.sees_all_chambers()
         self._operator.shows_no_pressure()  # compiled, or read from the cache, before a tick waits for it
         near_address(loop.parameters, loop.state.estimator)
         self._operator.advance(round(_WARM_UP / clock.period))
@@ -222,9 +221,7 @@ class LiveSeries:
         if operator.phase is not Phase.STANDING:
             self._ask(Request.DISARM)
         operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
-        # A reset that was pressed before the first request also states that gauges were read.
-        unread = bool(operator.control["venting"]["trapped"][0]) or not operator.sees_all_chambers()
-        return self._ask(Request.ACCESS, _ACCESS) or unread
+        return self._ask(Request.ACCESS, _ACCESS)
 
     def lock_guard(self) -> None:
         """Lock the guard again, once it is closed; a swing then arms the robot.

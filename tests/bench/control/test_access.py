@@ -239,6 +239,16 @@ def test_access_chambers_without_sensors_requires_press(button: bool) -> None:
     assert asked(puppet, Request.ACCESS) is (Refusal.NONE if button else Refusal.GAUGE)
 
 
+def test_access_press_before_first_request_is_refused_once() -> None:
+    """The sender of the request learns so that a person has locked the supply to read the gauges."""
+    puppet = reach(State.READY, fitted=False, local_reset=True)
+    puppet.run(100)
+    press(puppet)
+    assert asked(puppet, Request.ACCESS) is Refusal.GAUGE
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+    assert puppet.bench is State.ACCESS
+
+
 def test_access_brief_pressure_after_venting_waits_access_delay_only() -> None:
     puppet = reach(State.READY, access_delay=0.5)
     puppet.run(2000)

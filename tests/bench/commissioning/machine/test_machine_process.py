@@ -323,8 +323,17 @@ def test_machine_server_release_guard_reports_supply_locked_for_gauges(
 def test_machine_server_release_guard_after_early_press_reports_locked_supply(
     armed: MachineServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A press before the first request is accepted at once, and also states that gauges were read."""
-    monkeypatch.setattr(SwingOperator, "sees_all_chambers", lambda _: False)
+    """A press before the first request also states that gauges were read."""
+    request = SwingOperator.request
+
+    def press_first(operator: Any, which: int) -> bool:
+        if which == Request.ACCESS:
+            operator.stepper.parameters.control["local_reset"] = True
+            operator.control["venting"]["trapped"] = True
+            operator.control["reset_pressed"] = operator.control["time"]
+        return request(operator, which)
+
+    monkeypatch.setattr(SwingOperator, "request", press_first)
     assert armed.obey("release_guard") is True
 
 
