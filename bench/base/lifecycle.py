@@ -151,7 +151,7 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.MOVING: ("a joint still moves", "wait until the robot rests, then retry"),
     Refusal.GAUGE: (
         "no sensor verifies that the chambers are empty",
-        "lock the supply; once both gauges show 0, press the reset button there",
+        "lock the supply; once both gauges show 0, press the reset button there, then retry",
     ),
     Refusal.MANIFOLD: ("the supply manifold still holds pressure", "wait, or vent it by hand"),
     Refusal.BLOCKED: ("arming is blocked", "remove what blocks it"),

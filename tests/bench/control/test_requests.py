@@ -81,6 +81,7 @@ def test_access_empty_chambers_waits_for_rest_time() -> None:
     press(puppet)  # air so late was trapped: a person reads the gauges
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(10)
+    assert asked(puppet, Request.ACCESS) is Refusal.GAUGE  # the press preceded it
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
@@ -107,6 +108,7 @@ def test_access_encoders_in_doubt_waits_for_longer_rest_time(doubt: dict[str, bo
     press(puppet)  # air so late was trapped: a person reads the gauges
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(20)
+    assert asked(puppet, Request.ACCESS) is Refusal.GAUGE  # the press preceded it
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
