@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from bench.base.errors import Refused
-from bench.base.lifecycle import Refusal
+from bench.base.lifecycle import Refusal, Request, State
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.records.shot.shot_message import ShotPublication
@@ -173,7 +173,11 @@ class BenchOperator:
                 continue
             if message["tick"] is not None and message["tick"] >= tick:
                 path = Path(message["record"])
-                return SwingRecord(path, *read_swing(path))
+                record = SwingRecord(path, *read_swing(path))
+                # Without `series` each swing ends vented: its record shows a disarming by another client.
+                requests = record.cycles["request"][record.cycles["state"] == State.RECOVERING]
+                self._armed |= bool(np.any(requests == Request.DISARM))
+                return record
         raise self._no_shot(f"no record of it within {_STORED:g} s", swung=True)
 
     def begin_swing(self, prepare: Callable[[BenchStatus], bool], *, ball: bool) -> int:

@@ -6,14 +6,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from bench.base.errors import Refused
-from bench.base.lifecycle import REFUSAL_WORDS, Cause, Refusal
+from bench.base.lifecycle import REFUSAL_WORDS, Cause, Refusal, Request, State
 from bench.network.bench_operator import BenchOperator
 from bench.network.bench_service import BenchStatus, CommandAnswer
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.command import Verb
+from bench.records.telemetry.cycle_record import CYCLE
 from tests.bench.fake_bench_service import FakeDesk
 
 
@@ -132,6 +134,38 @@ def test_rest_at_address_bench_disarmed_by_request_is_refused(series: bool) -> N
     with pytest.raises(Refused, match=r"disarmed by request of another client"):
         operator.rest_at_address()
     assert bench.asked == ["lease", "arm"]
+
+
+class SwingingBench(DisarmableBench):
+    """Vents after each swing; publishes its record."""
+
+    def swing(self) -> None:
+        super().swing()
+        self.vent()
+
+    @contextmanager
+    def shots(self) -> Iterator[Callable[[], dict[str, Any]]]:
+        yield lambda: {"record": "swing.parquet", "outcome": None, "tick": self.state["tick"], "shot_id": ""}
+
+
+@pytest.mark.parametrize("state", [State.RECOVERING, State.READY])
+def test_rest_at_address_after_swing_disarmed_by_request_is_refused(
+    monkeypatch: pytest.MonkeyPatch, state: State
+) -> None:
+    """Its end vents the robot in any case; a request in READY is one that was refused."""
+    cycles = np.zeros(3, CYCLE)
+    cycles["state"] = State.SWINGING, state, State.READY
+    cycles["request"][1] = Request.DISARM
+    monkeypatch.setattr("bench.network.bench_operator.read_swing", lambda path: (cycles, {}))
+    bench = SwingingBench(series=False)
+    with operator_of(bench) as operator:
+        operator.swing(lambda status: True, ball=False)
+        if state is State.RECOVERING:
+            with pytest.raises(Refused, match=r"disarmed by request of another client"):
+                operator.rest_at_address()
+        else:
+            operator.rest_at_address()
+    assert bench.asked.count("arm") == (1 if state is State.RECOVERING else 2)
 
 
 @pytest.mark.parametrize("cause", [Cause.ARMED_TIME, Cause.SUPPORT])
