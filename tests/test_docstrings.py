@@ -71,6 +71,13 @@ def _exists(name: str) -> bool:
     return False
 
 
+def test_package_docstring_names_are_its_modules() -> None:
+    for path, tree in _trees().items():
+        if path.name == "__init__.py":
+            named = set(NAME.findall(ast.get_docstring(tree) or ""))
+            assert named <= {path.parent.name, *(module.stem for module in path.parent.iterdir())}, path
+
+
 def test_docstring_names_exist() -> None:
     lost = [
         f"{path.relative_to(TOP)}:{line}: `{name}`"
