@@ -71,7 +71,7 @@ def _exists(name: str) -> bool:
     return False
 
 
-def test_package_docstring_names_are_its_modules() -> None:
+def test_package_docstring_names_are_own_modules() -> None:
     for path, tree in _trees().items():
         if path.name == "__init__.py":
             named = set(NAME.findall(ast.get_docstring(tree) or ""))
