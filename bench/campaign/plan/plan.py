@@ -126,7 +126,6 @@ class SupplyRequirement:
     """The air that a running bench must have before each swing."""
 
     min_pressure_ratio: Annotated[float, Range(0.0, 1.5, "")]
-    timeout: Annotated[float, Range(0.0, 86400.0, "s")]
 
 
 @dataclass(frozen=True)

@@ -209,19 +209,19 @@ class LiveShots(ShotSource):
         Raises:
             Suspended: the bench was disarmed, as by `lifecycle.armed_timeout`, while the supply was short.
         """
-        supply, pressure = self._plan.supply, status["supply_pressure_pa"]
+        pressure = status["supply_pressure_pa"]
         if self._short and status["state"] != "ARMED":
             now = f"now the bench is {in_words(status)}"
             raise Suspended(f"{self._short}; {now}: check compressor and regulator, then resume")
         if pressure is None or (status["state"], status["phase"]) != ("ARMED", "HOLD"):
             return None
         profile = self._swings.designed((step.trial.arm.swing, step.trial.arm.club))
-        least = supply.min_pressure_ratio * profile.limits.get("supply_pressure_pa", 0.0)
+        least = self._plan.supply.min_pressure_ratio * profile.limits.get("supply_pressure_pa", 0.0)
         if pressure >= least:
             return None
         text = f"supply {pressure / 1e5:.2f} bar absolute, at least {least / 1e5:.2f} for {profile.name}"
         self._short = text
-        return BlockingCondition(text, armed=True, timeout=supply.timeout)
+        return BlockingCondition(text, armed=True)
 
     def rest(self) -> None:
         """Disarm: vent the robot. Release the lease until the next shot or access."""

@@ -462,9 +462,6 @@ class Runner:
             self._obey_requests()
             if found := self._source.hindrance(step):
                 free_since = now
-                if now - began > found.timeout:
-                    self._source.rest()
-                    raise _RunEnd(CampaignState.SUSPENDED, f"{found.text}, for {now - began:.0f} s now")
                 if self._store.standing(self._entry.id).state is not CampaignState.SUSPENDED:
                     self._stand(CampaignState.SUSPENDED, found.text)  # it was paused meanwhile
             time.sleep(_LOOK)

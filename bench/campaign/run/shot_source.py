@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
-from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -35,8 +34,6 @@ class BlockingCondition(NamedTuple):
     text: str
     armed: bool = False
     """Whether only an armed bench at rest at its address can detect the end of the condition."""
-    timeout: float = inf
-    """Max waiting time, s; then a person is needed."""
 
 
 class ShotPostponed(Exception):

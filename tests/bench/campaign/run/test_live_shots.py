@@ -589,7 +589,7 @@ def test_hindrance_checks_supply_only_at_address(
     found = shots_of(plan, bench).hindrance(a_step())
     assert (found is not None) == hindered
     if found:
-        assert found == BlockingCondition("supply 7.70 bar absolute, at least 7.76 for default", True, 600.0)
+        assert found == BlockingCondition("supply 7.70 bar absolute, at least 7.76 for default", True)
 
 
 def test_hindrance_bench_disarmed_while_supply_is_short_suspends(plan: CampaignPlan) -> None:

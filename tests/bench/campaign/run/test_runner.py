@@ -38,7 +38,14 @@ from bench.campaign.run.runner_control import (
     require_resumable,
     run_start,
 )
-from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, ShotSource, Taken, Watcher
+from bench.campaign.run.shot_source import (
+    BlockingCondition,
+    ShotPostponed,
+    ShotSource,
+    Suspended,
+    Taken,
+    Watcher,
+)
 from bench.config import database_url
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.telemetry.cycle_record import CYCLE
@@ -718,17 +725,19 @@ def test_runner_stop_or_abort_while_suspended_is_obeyed(
 
 
 class ShortOfAir(Scripted):
-    """A bench whose supply is low when it comes to shot 3, for `long` looks."""
+    """A bench whose supply is low when it comes to shot 3, for `long` looks; it disarms after `held`."""
 
-    def __init__(self, long: float, timeout: float) -> None:
+    def __init__(self, long: int, held: int) -> None:
         super().__init__()
-        self.left, self.timeout, self.armed, self.log = long, timeout, False, list[str]()
+        self.left, self.held, self.armed, self.log = long, held, False, list[str]()
 
     def hindrance(self, step: Step) -> BlockingCondition | None:
         if len(self.taken) != 2 or not self.armed or self.left <= 0:
             return None
-        self.left -= 1
-        return BlockingCondition("supply 7.0 bar", armed=True, timeout=self.timeout)
+        self.left, self.held = self.left - 1, self.held - 1
+        if self.held < 0:
+            raise Suspended("supply 7.0 bar; now the bench is READY")
+        return BlockingCondition("supply 7.0 bar", armed=True)
 
     def rest(self) -> None:
         self.log.append("rest")
@@ -744,7 +753,7 @@ class ShortOfAir(Scripted):
 
 @pytest.mark.usefixtures("virtual_time")
 def test_runner_low_supply_waits_with_robot_armed(make: Callable[..., Bench]) -> None:
-    bench, source = make(), ShortOfAir(5, 60.0)
+    bench, source = make(), ShortOfAir(5, 60)
     assert bench.run(source).state is CampaignState.FINISHED
     assert source.log == ["not now"]  # never vented: a vented bench does not see its supply
     assert [shot.shot for shot in bench.shots] == list(range(1, len(bench.shots) + 1))
@@ -753,12 +762,14 @@ def test_runner_low_supply_waits_with_robot_armed(make: Callable[..., Bench]) ->
 
 
 @pytest.mark.usefixtures("virtual_time")
-def test_runner_low_supply_beyond_timeout_suspends_and_rests(make: Callable[..., Bench]) -> None:
-    bench, source = make(), ShortOfAir(1e9, 0.1)
+def test_runner_low_supply_until_disarmed_suspends(make: Callable[..., Bench]) -> None:
+    bench, source = make(), ShortOfAir(100, 10)
     outcome = bench.run(source)
-    assert outcome.state is CampaignState.SUSPENDED
-    assert "supply 7.0 bar, for 0 s now" in outcome.reason
-    assert source.log == ["not now", "rest"]
+    assert (outcome.state, outcome.reason) == (
+        CampaignState.SUSPENDED,
+        "supply 7.0 bar; now the bench is READY",
+    )
+    assert source.log == ["not now"]
     source.left = 0
     assert bench.run(source).state is CampaignState.FINISHED
 
