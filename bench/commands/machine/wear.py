@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from math import ceil, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, Refused
 from bench.commands.common import (
     Json,
     Plot,
@@ -80,8 +79,11 @@ def wear(context: typer.Context, records: Records, plot: Plot = None, json_: Jso
     due = [one for one in parts if one.is_worn or one.left <= ahead]
     worn_texts = {f"{one.value.part}, {one.value.name}": _worn_text(one) for one in due}
     near_texts = {f"{one.joint} {one.kind}": _near_text(one, parts) for one in near}
-    if {bench for *_, bench in swings} == {settings.id}:
-        _store(settings.data_dir, settings.id, swings[-1][0], worn_texts | near_texts)
+    try:
+        benches = sorted({str(bench or "no bench") for *_, bench in swings})
+        _store(settings.data_dir, settings.id, benches, swings[-1][0], worn_texts | near_texts)
+    except BenchError as error:
+        Console(stderr=True).print(str(error), style="yellow", highlight=False)
     if json_:
         rows = [{name: finite(value) for name, value in one._asdict().items()} for one in found]
         worn = {"parts": [_as_json(one) for one in parts], "worn": bool(due)}
@@ -91,21 +93,30 @@ def wear(context: typer.Context, records: Records, plot: Plot = None, json_: Jso
     exit_unless(not near and not due)
 
 
-def _store(data_dir: Path, bench: str, time_utc: str, texts: dict[str, str]) -> None:
-    """Store findings of swings up to `time_utc`, texts by part, unless an analysis has later swings."""
+def _store(data_dir: Path, bench: str, benches: list[str], time_utc: str, texts: dict[str, str]) -> None:
+    """Store findings of `bench` by swings of `benches` up to `time_utc`; `texts` by part.
+
+    Raises:
+        BenchError: they are swings of another bench, an analysis has later ones, or the file is not written.
+    """
     from bench.supervisor.status import StoredWear, read_wear, wear_file, write_wear
 
+    location = f"wear of bench {bench}, not stored"
+    if benches != [bench]:
+        action = "For the status of a bench analyse its swings alone, with its --config."
+        raise Refused(location, f"swings of {', '.join(benches)}", f"swings of {bench}", action)
     file = wear_file(data_dir, bench)
-    with suppress(BenchError):  # an invalid file is replaced
-        if read_wear(file).time_utc > time_utc:
-            return
+    try:
+        stored = read_wear(file).time_utc
+    except BenchError:
+        stored = ""  # an invalid file is replaced
+    if stored > time_utc:
+        action = "Analyse newer swings too."
+        raise Refused(location, f"swings until {time_utc}", f"none older than {stored}, as stored", action)
     findings: list[WearFinding] = [
         {"part": part, "text": text, "time_utc": time_utc} for part, text in texts.items()
     ]
-    try:
-        write_wear(file, StoredWear(time_utc, findings))
-    except BenchError as error:
-        Console(stderr=True).print(str(error), style="yellow", highlight=False)
+    write_wear(file, StoredWear(time_utc, findings))
 
 
 def _worn_text(one: PartWear) -> str:

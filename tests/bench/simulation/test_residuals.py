@@ -90,6 +90,7 @@ def test_wear_command_worn_valve_names_joint_before_swing_stops(
     assert "wrist flow is near its limit" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(SystemExit):  # an analysis of earlier swings
         main(["--config", str(file), "wear", str(tmp_path / "0.parquet")])
+    assert "not stored: found swings until 2026-01-01" in " ".join(capsys.readouterr().err.split())
     (finding,) = (one for one in read_wear(wear_file(tmp_path, "b1")).findings if one["part"] == "wrist flow")
     assert finding["text"].startswith("wrist flow is near its limit: ")
     assert finding["time_utc"] == "2026-01-02T00:00:00"
