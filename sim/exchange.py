@@ -7,6 +7,7 @@ monitor. `PLANT_SURROUNDINGS` carries operator actions and faults to it: `Surrou
 
 from __future__ import annotations
 
+import dataclasses
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -63,11 +64,8 @@ PLANT_REPORT = np.dtype(
 ticks: the plant's own clock, which stops during a slip. `plant_slips` counts the slips, `slipped_ticks` the
 ticks lost in them; `lateness` (s) is the delay of this tick."""
 
-BALL = np.dtype(
-    [*fields("f8", "mass radius inertia_factor restitution_factor friction drag_factor lift_factor")],
-    align=True,
-)
-"""Fields of a `sim.ball.Ball`, same names; all zero for the plan's ball."""
+BALL = np.dtype([(field.name, "f8") for field in dataclasses.fields(Ball)[1:]], align=True)
+"""Fields of a `sim.ball.Ball` after its name; all zero for the plan's ball."""
 
 PLANT_SURROUNDINGS = np.dtype(
     [
