@@ -153,7 +153,10 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
         "no sensor verifies that the chambers are empty",
         "lock the supply; once both gauges show 0, press the reset button there, then retry",
     ),
-    Refusal.MANIFOLD: ("the supply manifold still holds pressure", "wait, or vent it by hand"),
+    Refusal.MANIFOLD: (
+        "the supply manifold still holds pressure",
+        "wait, or vent it by hand; at 0 on its gauge check its sensor",
+    ),
     Refusal.BLOCKED: ("arming is blocked", "remove what blocks it"),
     Refusal.CORRECTION: ("the correction does not fit this bench", "learn again"),
     Refusal.HELD: ("another holder has the lease", "wait, or have the holder release it"),
@@ -428,7 +431,9 @@ CAUSE_WORDS: dict[Cause, Words] = {
     ),
     Cause.SHUT_OFF: ("shut-off valve does not follow its command", "check valve and position switch"),
     **_each_chamber(
-        Cause.SHOULDER_A_EXHAUST, "{chamber} vents too slowly", "check silencer, hose and sensor's zero"
+        Cause.SHOULDER_A_EXHAUST,
+        "{chamber} vents too slowly",
+        "lock the supply, empty it by its hand valve; check silencer, hose and sensor's zero",
     ),
     Cause.LEASE: ("disarmed, as the lease lapsed or was released", "take it, then arm"),
     Cause.ARMED_TIME: ("disarmed, as it was armed for longer than allowed", "arm again"),

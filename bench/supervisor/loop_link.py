@@ -127,7 +127,7 @@ class LoopLink:
         if newest["answer"][0] == Answer.ACCEPTED:
             return CommandAnswer(True, state)
         refusal = Refusal(int(newest["refusal"][0]))
-        return refused(state, refusal, *refusal_words(refusal, self.fault))
+        return refused(state, refusal, *refusal_words(refusal, self.fault, newest["air_fault"][0]))
 
     def _wait(self, answer: Callable[[], CommandAnswer | None]) -> CommandAnswer | None:
         """Return the `answer` of the loop as soon as there is one; None after the time-out."""

@@ -156,7 +156,7 @@ def status_of(newest: Cycles | None, stall: str, disarmed: Cause, **beside: Any)
         "supply_pressure_pa": json_value(float(r["supply_pressure"])),
         "chamber_pressure_pa": json_value(r["chamber_pressure"].tolist()),
         "spool_positions": json_value(r["spool_position"].tolist()),
-        "air_faults": [CAUSE_TEXT[fault] for k, fault in enumerate(FAULTS) if int(r["air_fault"]) >> k & 1],
+        "air_faults": [CAUSE_TEXT[fault] for fault in air_faults(r["air_fault"])],
         "vents_open": [_position(x) for x in r["vent_open"]],
         "shut_off_open": _position(r["shut_off_open"]),
         "emergency_stop_clear": bool(r["emergency_stop_clear"]),
@@ -195,8 +195,19 @@ def disarmed_for(cycle: Any, before: State, *, series: bool) -> Cause:
     return Cause.ARMED_TIME if before is State.ARMED else Cause.NONE
 
 
-def refusal_words(refusal: Refusal, fault: str) -> Words:
-    """Return the operator's words for `refusal`; the device's `fault`, if known, in place of its action."""
+def air_faults(bits: int) -> list[Cause]:
+    """Return the causes of the failing sensors, vents and exhausts in the `bits` of a record."""
+    return [fault for k, fault in enumerate(FAULTS) if int(bits) >> k & 1]
+
+
+def refusal_words(refusal: Refusal, fault: str, air: int) -> Words:
+    """Return the operator's words for `refusal`; the device's `fault`, if known, in place of its action.
+
+    A chamber that vents too slowly, by the bits `air` of the record, does not pass: it is the reason.
+    """
+    slow = [found for found in air_faults(air) if found >= Cause.SHOULDER_A_EXHAUST]
+    if refusal is Refusal.NOT_VENTED and slow:
+        return CAUSE_WORDS[slow[0]]
     fact, action = REFUSAL_WORDS[refusal]
     return fact, fault if fault and refusal in (Refusal.READINGS, Refusal.DEVICE) else action
 

@@ -302,7 +302,8 @@ class LiveSeries:
                 called = True
             latched = self._state in _LATCHED and request is not Request.RESET  # no waiting changes that
             if latched or waited > (_PERSON if person else timeout):
-                fact, action = refusal_words(refusal, getattr(self._driver, "fault", ""))
+                air = operator.stepper.record["air_fault"][0]
+                fact, action = refusal_words(refusal, getattr(self._driver, "fault", ""), air)
                 if not action:  # the state's cause says more
                     fact, action = f"{fact}, {self._state.name}", "follow the text, then --resume"
                     fact += f": {cause_text(operator.cause, self._stall())}" if operator.cause else ""

@@ -188,6 +188,15 @@ def test_access_arm_at_rest_after_creep_accepted() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
+def test_access_sensor_above_atmosphere_latches_exhaust() -> None:
+    """A wrong zero looks like air that holds an arm up: only its chamber can be named."""
+    puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05)
+    vent(puppet)
+    puppet.give(chamber_pressure=(*(ATMOSPHERE,) * 5, 1.1e5)).run(5000)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    assert puppet.cause is Cause.WRIST_B_EXHAUST
+
+
 @pytest.mark.parametrize("shown", [ATMOSPHERE, 5.0e5], ids=["stuck empty", "full"])
 def test_access_delay_restarts_with_pressure(shown: float) -> None:
     puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, access_delay=3.0)

@@ -14,6 +14,7 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Phase, Refusal, Request, State
+from bench.control.monitor.pressure_monitor import FAULTS
 from bench.network.bench_service import WearFinding
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.status import (
@@ -119,9 +120,21 @@ def test_stall_note_device_fault_takes_precedence() -> None:
 
 def test_refusal_words_device_fault_takes_precedence() -> None:
     fault = "another master has commanded node 1"
-    assert refusal_words(Refusal.READINGS, fault) == ("an encoder yields no valid readings", fault)
-    assert refusal_words(Refusal.READINGS, "") == REFUSAL_WORDS[Refusal.READINGS]
-    assert refusal_words(Refusal.GUARD, fault) == REFUSAL_WORDS[Refusal.GUARD]
+    assert refusal_words(Refusal.READINGS, fault, 0) == ("an encoder yields no valid readings", fault)
+    assert refusal_words(Refusal.READINGS, "", 0) == REFUSAL_WORDS[Refusal.READINGS]
+    assert refusal_words(Refusal.GUARD, fault, 0) == REFUSAL_WORDS[Refusal.GUARD]
+
+
+def test_refusal_words_not_vented_names_slow_exhaust() -> None:
+    """Waiting ends no access that is refused for a throttled exhaust or for a sensor above the atmosphere."""
+    slow = 1 << FAULTS.index(Cause.ARM_B_EXHAUST)
+    other = 1 << FAULTS.index(Cause.GUARD_LOCK)
+    fact, action = refusal_words(Refusal.NOT_VENTED, "", slow | other)
+    assert fact == "right arm chamber B vents too slowly"
+    assert "hand valve" in action
+    assert "sensor's zero" in action
+    assert refusal_words(Refusal.NOT_VENTED, "", other) == REFUSAL_WORDS[Refusal.NOT_VENTED]
+    assert refusal_words(Refusal.GUARD, "", slow) == REFUSAL_WORDS[Refusal.GUARD]
 
 
 def test_cause_text_stall_note_replaces_action() -> None:
