@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from hashlib import sha256
 from importlib.resources import files
+from math import inf
 from pathlib import Path
 from shlex import quote
 from textwrap import wrap
@@ -40,8 +41,8 @@ from bench.commissioning.machine.commissioning_step import (
     StepResult,
     Traces,
 )
-from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
-from bench.commissioning.machine.inputs import OperatorIO
+from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled, without_press
+from bench.commissioning.machine.inputs import ACTS, INSIDE, OperatorIO
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.steps.friction_identification import FRICTION
@@ -57,6 +58,7 @@ from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
 from bench.supervisor.ownership import try_lock
 from bench.swing.profile import load_profile
+from drivers.base import PASSIVE, Readings
 from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 STATE_FILE, ROBOT_FILE, _LOCK_FILE = "commissioning.json", "robot.toml", "process"
@@ -65,6 +67,8 @@ _DIGEST = "# as written by golfbench commission: "
 """Start of the last line of robot.toml, before the digest of the others."""
 _REPEATS = 9
 """Max repetitions of a measuring step that a stall of the computer ended."""
+_PRESSED = 0.05
+"""Time without a change after which the local reset counts as pressed or released (s)."""
 
 STEPS = (WIRING, VALVES, LEAKAGE, FRICTION, RESPONSE)
 """The steps that measure, in their order."""
@@ -324,6 +328,24 @@ def see_inputs(
         done(StepResult((), (f"seen to change: {', '.join(seen.seen)}", beside)))
 
 
+def await_local_reset(machine: SimulatedMachine | LiveRobot, hands: OperatorIO) -> None:
+    """Return once a person has pressed and released the local reset since the guard was last open, if fitted.
+
+    Raises:
+        Refused: it was not pressed alone, or the device fails.
+    """
+    if machine.may_move():
+        return
+    hands.say("The robot is to move: count the persons outside the guard.")
+    readings: Readings | None = None
+    for key, pressed in (("", False), ("press-reset", True), ("release-reset", False)):
+        if key:
+            hands.act(ACTS[key])
+        readings = machine.watch(PASSIVE, readings, inf, _PRESSED, INSIDE * hands.timeout)
+        if readings.local_reset != pressed or not readings.guard_closed:
+            raise without_press()
+
+
 def commission(
     state: Commissioning,
     nominal: PlantParameters,
@@ -336,20 +358,20 @@ def commission(
 ) -> RobotEstimate:
     """Do the measuring steps of `state` that are not done; store it after each.
 
-    The machine is passive at the end. `permit` returns once a person permits the first motion, `observe`
-    further notes after a step, such as a simulated robot's loads; `progress` is given each motion of a step.
+    The machine is passive at the end, its regulator in service, after an error turned down. `permit` returns
+    once a person permits the motions of a step, `observe` further notes after it, such as a simulated robot's
+    loads; `progress` is given each motion.
 
     Raises:
         MachineFault: a step found the machine wrong; the state says so.
         Refused: an interlock ended a step, or stalls ended it again and again; it is repeated when resumed.
     """
-    known = RobotEstimate(nominal, state.values)
+    known, after = RobotEstimate(nominal, state.values), nominal.supply.atmosphere
     try:
-        if not all(map(state.has_done, STEPS)):
-            permit()
         for number, step in enumerate(STEPS, 1):
             if state.has_done(step):
                 continue
+            permit()
             file = f"records/{number}-{step.name}.npz"
             with _doing(state, step, on_step, file, lambda: machine.time) as done:
                 counted = _CountedMachine(machine, step.title, progress)
@@ -359,8 +381,10 @@ def commission(
                 values = tuple(value._replace(step=step.name) for value in result.values)
                 done(StepResult(values, (*result.notes, *stalls, *observe())))
             known.add(values)
+        after = inf
     finally:
         machine.make_passive()
+        machine.set_supply(after)
     return known
 
 

@@ -162,12 +162,12 @@ def _commission(
     from bench.commissioning.commissioning import (
         ALL_STEPS,
         ROBOT_FILE,
+        await_local_reset,
         commission,
         commission_swings,
         folder_lock,
         known_with_swing,
     )
-    from bench.commissioning.steps.inputs_check import await_local_reset
     from bench.config import load_configuration
 
     nominal = configuration.plant
@@ -190,11 +190,10 @@ def _commission(
         try:
             _see_inputs(state, configuration, machine, on_step, show)
             measured, observe = machine.measured, machine.observe
-            permit = partial(await_local_reset, measured, machine.hands, configuration)
+            permit = partial(await_local_reset, measured, machine.hands)
             known = commission(
                 state, nominal, measured, permit=permit, observe=observe, on_step=on_step, progress=show
             )
-            measured.set_supply(float("inf"))
             _write_robot(file, state, known, configuration.envelope)
             robot = load_configuration(file)
             commission_swings(state, robot, machine.arm, on_step=on_step, progress=show)
@@ -318,7 +317,10 @@ def _simulated(
     from bench.commissioning.machine.driver_machine import SimulatedMachine
 
     faults = tuple(truth.faults.values())
-    with SimulatedMachine(truth.plant, configuration.plant, faults, inputs_only=inputs_only) as machine:
+    local_reset = configuration.lifecycle.local_reset
+    with SimulatedMachine(
+        truth.plant, configuration.plant, faults, inputs_only=inputs_only, local_reset=local_reset
+    ) as machine:
         yield _Machine(
             machine,
             lambda bench: SimulatedSeries(bench, truth.plant, faults),

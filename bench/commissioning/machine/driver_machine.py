@@ -71,6 +71,12 @@ def stopped_by_operator(location: str = "commission", action: str = _RESUME) -> 
     )
 
 
+def without_press() -> Refused:
+    """Return the error of a motion that no person at the robot permitted."""
+    action = "Count the persons, close the guard, then continue with --resume."
+    return Refused("local reset", "no press of it alone", "one before the robot moves", action)
+
+
 class _Fault(NamedTuple):
     """Why a machine may not move; without text it may."""
 
@@ -94,12 +100,14 @@ class DriverMachine:
         warning: float = 0.0,
         stop: Callable[[], bool] = never,
         inputs_only: bool = False,
+        local_reset: bool = False,
     ) -> None:
         """Open `driver`; tick, encoders and atmosphere are those of `believed`.
 
         Its ticks come from `clock`, by default as fast as they are computed. The beacon warns for `warning`
         (s) before air comes on, and what runs ends once `stop` says so. `inputs_only`: it only watches its
-        inputs, for which no pressure sensors and no closed interlocks are needed.
+        inputs, for which no pressure sensors and no closed interlocks are needed. `local_reset`: one is
+        fitted, and pressed before motions.
 
         Raises:
             Refused: the device gives no readings, or an interlock is open.
@@ -112,6 +120,7 @@ class DriverMachine:
         self._failed, self._fault, self._inputs_only = 0, _Fault(), inputs_only
         self._place = "check of the inputs" if inputs_only else "commission"
         self._again = "begin again." if inputs_only else _RESUME
+        self._local_reset, self._reset_was_low, self._permitted = local_reset, False, not local_reset
         self._stall, self._stalled_at = "", 0.0
         """The last stall in words, and its end (s)."""
         self._seen = deque[tuple[NDArray[np.int64], Array]](maxlen=_SPEED_SPAN + 1)
@@ -137,6 +146,10 @@ class DriverMachine:
     def time(self) -> float:
         """Time of the machine since it was opened, s."""
         return self._now - self._began
+
+    def may_move(self) -> bool:
+        """Return whether a fitted local reset was pressed since the guard was last open."""
+        return self._permitted
 
     def make_passive(self) -> None:
         """Centre the spools, shut the supply, open the vents."""
@@ -170,7 +183,7 @@ class DriverMachine:
             if k >= look and k % 50 == 0 and empty and log.rested(look):
                 break
         fullest = int(np.argmax(self._pressure()))
-        if self._pressure()[fullest] > self._atmosphere + 3.0 * _EMPTY:
+        if not self._pressure()[fullest] <= self._atmosphere + 3.0 * _EMPTY:
             found = f"{1e-5 * self._pressure()[fullest]:.2f} bar in {CHAMBERS[fullest]} after {duration:g} s"
             action = "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside."
             raise MachineFault("vents", found, "empty chambers", action)
@@ -226,6 +239,8 @@ class DriverMachine:
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments` with the supply on; afterwards the last openings stay in force."""
         if not self._applied.supply_enable:
+            if not self._permitted:
+                raise without_press()
             self._revive()
             self._warn()
         self._bounds = bounds
@@ -264,7 +279,7 @@ class DriverMachine:
 
     def _met(self, until: Until, log: MotionLog, k: int) -> bool:
         if until.kind == "above":
-            return bool(self._pressure()[until.number] >= until.level)
+            return bool(until.level <= self._pressure()[until.number] < np.inf)
         if until.kind == "moved":
             return bool(abs(log.way()[until.number]) >= until.level)
         span = round(until.level / self._tick)
@@ -336,10 +351,12 @@ class DriverMachine:
             self._stalled_at = self._now
 
     def _read(self) -> None:
-        """Take the readings; a pressure without a plausible value keeps its last one and is reported."""
-        before = self._readings["chamber_pressure"].copy(), self._readings["supply_pressure"].copy()
+        """Take the readings, and note presses of the local reset; an opened guard makes them void."""
         self._read_record(self._now, self._readings)
         self._fault = self._problem()
+        level, closed = self._readings["local_reset"][0], self._readings["guard_closed"][0]
+        permitted = closed and (self._permitted or (level and self._reset_was_low))
+        self._permitted, self._reset_was_low = bool(permitted or not self._local_reset), not level
         seen, age = self._readings["encoder_valid"][0] != 0, self._readings["encoder_age"][0]
         if not np.any(seen & (age < _STALL * self._tick)):
             # Not a cable: it takes one. Pressures come more rarely, and are missed for longer.
@@ -348,9 +365,6 @@ class DriverMachine:
                 "of the computer"
             )
             self._stalled_at = self._now
-        for name, last in zip(("chamber_pressure", "supply_pressure"), before, strict=True):
-            given = self._readings[name]
-            np.copyto(given, last, where=~np.isfinite(given) & np.isfinite(last))
         counts, times = self._readings["encoder_count"][0], self._readings["encoder_time"][0]
         self._seen.append((np.array(counts, np.int64), np.array(times)))
 
@@ -422,10 +436,11 @@ class SimulatedMachine(DriverMachine):
         faults: tuple[Fault, ...] = (),
         *,
         inputs_only: bool = False,
+        local_reset: bool = False,
     ) -> None:
         """Stand vented and hanging: `truth` moves, with `faults`; the bench believes in `believed`."""
         self.driver = SimDriver(build_plant(truth), faults=faults, seed=truth.seed)
-        super().__init__(self.driver, believed, inputs_only=inputs_only)
+        super().__init__(self.driver, believed, inputs_only=inputs_only, local_reset=local_reset)
         self._truth = truth
 
     @property

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from bench.base.errors import BenchError, ExitCode
 from bench.commissioning.machine.commissioning_step import MachineFault, Mark
 from drivers.base import PASSIVE, Command, Readings
+from drivers.base.shared_memory import SharedMemoryError
 from sim.exchange import SurroundingsWriter
 
 
@@ -276,16 +277,25 @@ class OperatorIO(NamedTuple):
     """Time for each act at the inputs, s."""
 
 
+INSIDE = 5.0
+"""Factor of the time for an act with the guard released: a pin is set or removed; persons are counted."""
 SIMULATED_TIMEOUT = 2.0
 """Time for each act of simulated hands (s)."""
 
 
 def of_simulation(folder: Path) -> Regulator:
-    """Return the regulator of the simulated plant with its files in `folder`."""
+    """Return the regulator of the simulated plant with its files in `folder`.
+
+    When called it raises RegulatorNotTurned if the plant has ended.
+    """
 
     def turn(pressure: float) -> None:
-        with SurroundingsWriter(folder) as surroundings:
-            surroundings.change(regulated=0.0 if math.isinf(pressure) else pressure)
+        try:
+            with SurroundingsWriter(folder) as surroundings:
+                surroundings.change(regulated=0.0 if math.isinf(pressure) else pressure)
+        except SharedMemoryError as error:  # the plant has ended
+            action = "Continue with --resume."
+            raise RegulatorNotTurned("simulated regulator", str(error), "a plant", action) from None
 
     return turn
 

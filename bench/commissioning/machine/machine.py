@@ -81,9 +81,9 @@ class MotionTrace:
     count: NDArray[np.int64]
     """(n, 3) counts since the first row, unwrapped."""
     pressure: Array
-    """(n, 6) Pa absolute, in the order of CHAMBERS."""
+    """(n, 6) Pa absolute, in the order of CHAMBERS; invalid ones lie between their neighbours."""
     supply: Array
-    """(n,) Pa absolute."""
+    """(n,) Pa absolute, likewise."""
     valve: Array
     """(n, 3) openings commanded from this row on."""
     vents_shut: NDArray[np.bool_]
@@ -164,12 +164,22 @@ class MotionLog:
             wanted = np.arange(number[-1] + 1.0)
             if len(wanted) != n:
                 at = np.interp(wanted, number, at)
-        time, pressure, supply = (at_rows(rows[name], at) for name in ("time", "pressure", "supply"))
+        time = rows["time"]
+        pressure, supply = (at_rows(_bridged(rows[name], time), at) for name in ("pressure", "supply"))
         count = np.round(at_rows(rows["count"], at)).astype(np.int64)
         valve, shut, segment = (
             rows[name][at.astype(np.int64)] for name in ("valve", "vents_shut", "segment")
         )
+        time = at_rows(time, at)
         return MotionTrace(time, self._first, count, pressure, supply, valve, shut, segment, tripped, ended)
+
+
+def _bridged(table: Array, time: Array) -> Array:
+    """Return `table` (n,) or (n, c) at `time` (n,), invalid values between the valid ones of the column."""
+    if table.ndim == 2:
+        return np.column_stack([_bridged(column, time) for column in table.T])
+    valid = np.isfinite(table)
+    return np.interp(time, time[valid], table[valid]) if valid.any() and not valid.all() else table
 
 
 def at_rows(table: NDArray[Any], rows: NDArray[Any]) -> Array:
@@ -203,7 +213,10 @@ class CommissionedMachine(Protocol):
 
 
 def bound_passed(bounds: MotionBounds, speed: Array, way: Array, pressure: Array) -> PassedBound | None:
-    """Return the bound that `speed` (3,), `way` (3,) or `pressure` (6,) passes."""
+    """Return the bound that `speed` (3,), `way` (3,) or `pressure` (6,) passes.
+
+    An invalid pressure passes none: the machine itself ends a motion whose sensors do not recover.
+    """
     for i, joint in enumerate(JOINTS):
         if not abs(speed[i]) <= bounds.speed[i]:
             text = f"speed of the {joint} {abs(speed[i]):.1f} rad/s, bound {bounds.speed[i]:.1f} rad/s"
@@ -212,7 +225,7 @@ def bound_passed(bounds: MotionBounds, speed: Array, way: Array, pressure: Array
             text = f"way of the {joint} {abs(way[i]):.2f} rad, bound {bounds.travel[i]:.2f} rad"
             return PassedBound(text, way_of=i)
     for k, chamber in enumerate(CHAMBERS):
-        if bounds.pressure < np.inf and not pressure[k] <= bounds.pressure:
+        if bounds.pressure < pressure[k] < np.inf:
             text = (
                 f"pressure of {chamber} {1e-5 * pressure[k]:.2f} bar, bound {1e-5 * bounds.pressure:.2f} bar"
             )

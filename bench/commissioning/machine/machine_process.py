@@ -196,6 +196,10 @@ class LiveRobot:
         """Be passive until chambers are empty and joints rest."""
         return self._trace("vent", duration)
 
+    def may_move(self) -> bool:
+        """Return whether a fitted local reset was pressed since the guard was last open."""
+        return bool(self._order("may_move"))
+
     def make_passive(self) -> None:
         """End what runs, and be passive; a process that is gone has left the machine passive."""
         with suppress(BenchError, OSError):

@@ -369,9 +369,15 @@ class MachineServer:
         self._driver, self._clock, self._stop, self._say = driver, clock, stop, say
         self._configuration = configuration
         self._series: LiveSeries | None = None
-        warning = configuration.lifecycle.warning_time
+        lifecycle = configuration.lifecycle
         self._machine = DriverMachine(
-            driver, configuration.plant, clock, warning=warning, stop=stop, inputs_only=inputs_only
+            driver,
+            configuration.plant,
+            clock,
+            warning=lifecycle.warning_time,
+            stop=stop,
+            inputs_only=inputs_only,
+            local_reset=lifecycle.local_reset,
         )
 
     def obey(self, order: str, *given: Any) -> Any:

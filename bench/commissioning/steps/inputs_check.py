@@ -17,12 +17,12 @@ from bench.base.lifecycle import REFUSAL_WORDS, Refusal
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.commissioning_step import MachineFault, NamedStep
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.inputs import ACTS, OperatorIO, Stage, fitted, judged, stages
+from bench.commissioning.machine.inputs import ACTS, INSIDE, OperatorIO, Stage, fitted, judged, stages
 from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.config import Configuration
 from bench.control.settings import holding_pressure, zero_tolerance
-from drivers.base import CHAMBERS, PASSIVE, Command, Readings
+from drivers.base import CHAMBERS, Command, Readings
 from sim.plant import PlantParameters
 
 PRESSURES = (2.5e5, 4.0e5)
@@ -35,15 +35,11 @@ _MIN_SHARE = 0.7
 """Share of the wanted pressure that the gauge shows at least: two readings of no air prove no span."""
 _SETTLED, _FILLED = 1.0, 3.0
 """Time without a change beyond the valves' own delays, and to fill the manifold (s)."""
-_INSIDE = 5.0
-"""Factor of the time for an act with the guard released: a pin is set or removed; persons are counted."""
-_PRESSED = 0.05
-"""Time without a change after which the local reset counts as pressed or released (s)."""
 _UNSEEN = (
     f"{REFUSAL_WORDS[Refusal.GAUGE][0]}: lock the supply, open each hand valve until it has blown out, "
     "read 0 at both gauges"
 )
-"""Request before the guard is released, where not each chamber has a sensor."""
+"""Request before the guard is released, where not each chamber and the manifold have a valid sensor."""
 
 _WARNING = Command(beacon=True)
 
@@ -102,25 +98,6 @@ def _refused(found: str, expected: str, action: str) -> Refused:
     return Refused("check of the inputs", found, expected, action)
 
 
-def await_local_reset(machine: SimulatedMachine | LiveRobot, hands: OperatorIO, c: Configuration) -> None:
-    """Return once a person has pressed and released the local reset, where one is wired: the robot may move.
-
-    Raises:
-        Refused: it was not pressed alone, or the device fails.
-    """
-    if not c.lifecycle.local_reset:
-        return
-    hands.say("The robot is to move: count the persons outside the guard.")
-    readings: Readings | None = None
-    for key, pressed in (("", False), ("press-reset", True), ("release-reset", False)):
-        if key:
-            hands.act(ACTS[key])
-        readings = machine.watch(PASSIVE, readings, inf, _PRESSED, _INSIDE * hands.timeout)
-        if readings.local_reset != pressed or not readings.guard_closed:
-            action = "Count the persons, close the guard, then continue with --resume."
-            raise Refused("local reset", "no press of it alone", "one before the robot moves", action)
-
-
 def raise_findings(findings: list[MachineFault]) -> None:
     """Raise MachineFault with all `findings`, if there are any."""
     if findings:
@@ -146,9 +123,10 @@ def _watched(
         if not stage.outputs.guard_lock:
             if _holds_air(seen[-1], c.plant):
                 break
-            if previous.outputs.guard_lock and not all(map(isfinite, seen[-1].chamber_pressure)):
+            shown = (seen[-1].supply_pressure, *seen[-1].chamber_pressure)
+            if previous.outputs.guard_lock and not all(map(isfinite, shown)):
                 hands.confirm(_UNSEEN)
-            timeout *= _INSIDE
+            timeout *= INSIDE
         progress(stage.name)
         if stage.act:
             hands.act(ACTS[stage.act])

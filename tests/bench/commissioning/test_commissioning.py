@@ -6,8 +6,10 @@ import json
 import os
 import re
 import shlex
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -151,7 +153,37 @@ def test_commission_without_permit_measures_no_step(
         assert first.runs == 0
         for _ in range(2):
             commission(state, configuration.plant, machine, permit=lambda: runs.append(first.runs))
-    assert runs == [0], "once, before the first step; nothing is left to move later"
+    assert runs == [0, 1], "once before each step; nothing is left to move later"
+
+
+def _interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("failing", "permit", "error"),
+    [(True, tuple, MachineFault), (False, _interrupt, KeyboardInterrupt)],
+    ids=["machine fault", "interrupt"],
+)
+def test_commission_error_turns_regulator_down(
+    tmp_path: Path,
+    configuration: Configuration,
+    monkeypatch: pytest.MonkeyPatch,
+    failing: bool,
+    permit: Callable[[], object],
+    error: type[BaseException],
+) -> None:
+    step, turned = _Found("first", failing), list[float]()
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (step,))
+    state, plant = begin(tmp_path, configuration, simulated=True), configuration.plant
+    with SimulatedMachine(plant, plant) as machine:
+        monkeypatch.setattr(machine, "set_supply", turned.append)
+        with pytest.raises(error):
+            commission(state, plant, machine, permit=permit)
+        assert turned == [plant.supply.atmosphere]
+        step.failing = False
+        commission(state, plant, machine)
+    assert turned[1:] == [inf], "in service afterwards"
 
 
 @pytest.mark.slow
@@ -162,7 +194,7 @@ def test_commission_wired_local_reset_is_requested_before_first_step(
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first,))
     monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", ())
     monkeypatch.setattr(
-        "bench.commissioning.steps.inputs_check.await_local_reset", lambda *_: asked.append(first.runs)
+        "bench.commissioning.commissioning.await_local_reset", lambda *_: asked.append(first.runs)
     )
     assert exit_code(["commission", "--sim", "--output", str(tmp_path / "day")]) == 0
     assert asked == [0]

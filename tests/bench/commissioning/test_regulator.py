@@ -8,7 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.commissioning.machine.inputs import RegulatorNotTurned, by_person, by_program, turned_once
+from bench.commissioning.machine.inputs import (
+    RegulatorNotTurned,
+    by_person,
+    by_program,
+    of_simulation,
+    turned_once,
+)
 
 
 def test_by_person_prompts_gauge_and_absolute_pressure() -> None:
@@ -59,6 +65,11 @@ def test_turned_once_failed_turn_is_requested_again() -> None:
         with pytest.raises(RegulatorNotTurned):
             turn(3e5)
     assert asked == [3e5, 3e5]
+
+
+def test_of_simulation_without_plant_raises(tmp_path: Path) -> None:
+    with pytest.raises(RegulatorNotTurned, match="--resume"):
+        of_simulation(tmp_path)(1e5)
 
 
 def test_by_program_passes_pressure_in_bar(tmp_path: Path) -> None:

@@ -18,15 +18,16 @@ from bench.base.lifecycle import REFUSAL_WORDS, Block, Refusal
 from bench.calibration.archive import add_calibration, effective_calibration
 from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_digest
 from bench.commands.cli import main
-from bench.commissioning.commissioning import begin, read_state, see_inputs
+from bench.commissioning.commissioning import await_local_reset, begin, read_state, see_inputs
 from bench.commissioning.machine.commissioning_step import MachineFault
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.inputs import ACTS, INPUTS, Act, fitted, judged, stages
-from bench.commissioning.steps.inputs_check import PRESSURES, await_local_reset, check_inputs, off_at_rest
+from bench.commissioning.machine.machine import ADRIFT, Segment
+from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs, off_at_rest
 from bench.config import Configuration
 from bench.control.settings import holding_pressure
 from bench.store.database import open_database
-from drivers.base import CHAMBERS, PASSIVE, Command, Readings
+from drivers.base import CHAMBERS, INVALID, PASSIVE, Command, Readings
 from sim.faults import SWITCHES, Fault, Kind
 from tests.bench.commissioning.drawn_robots import drawn_robot
 from tests.sampling import release_except
@@ -275,6 +276,31 @@ def test_check_inputs_air_in_chamber_keeps_guard_locked(wired: Configuration) ->
     assert seen.findings, "arming is blocked"
 
 
+@pytest.mark.parametrize("failing", ["right arm A", "supply"])
+def test_check_inputs_sensor_failing_meanwhile_asks_for_gauges_and_is_found(
+    wired: Configuration, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    """Its last value proves nothing."""
+    done = list[str]()
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        own, read = machine.hands, machine._read_record
+
+        def act(one: Act) -> None:
+            done.append(one.key)
+            own.act(one)
+
+        def failed(time: float, record: Any) -> None:
+            read(time, record)
+            if "release-reset" in done:
+                record["supply_pressure" if failing == "supply" else "chamber_pressure"] = INVALID
+
+        monkeypatch.setattr(machine, "_read_record", failed)
+        findings = check_inputs(machine, own._replace(act=act, confirm=done.append), wired)[1]
+    assert done[done.index("open-guard") - 1].startswith(REFUSAL_WORDS[Refusal.GAUGE][0])
+    found = {one.location: one.found for one in findings}
+    assert found[f"{failing} sensor"] == "no believable reading"
+
+
 def test_check_inputs_without_chamber_sensors_asks_for_gauges_before_release(wired: Configuration) -> None:
     plant = replace(wired.plant, pressure_sensors=False)
     done = list[str]()
@@ -379,9 +405,14 @@ def test_check_inputs_unfitted_inputs_are_skipped(configuration: Configuration) 
     assert set(ALL) - set(seen.seen) == {"vent 1", "vent 2", "local reset"}
 
 
+def resettable(c: Configuration) -> SimulatedMachine:
+    """Return a machine with a local reset."""
+    return SimulatedMachine(c.plant, c.plant, local_reset=True)
+
+
 def test_await_local_reset_pressed_and_released_returns(wired: Configuration) -> None:
     acts, said = list[str](), list[str]()
-    with SimulatedMachine(wired.plant, wired.plant) as machine:
+    with resettable(wired) as machine:
         own = machine.hands
 
         def act(one: Act) -> None:
@@ -390,11 +421,12 @@ def test_await_local_reset_pressed_and_released_returns(wired: Configuration) ->
             own.act(one)
 
         hands = own._replace(act=act, say=said.append)
-        await_local_reset(machine, hands, wired)
+        await_local_reset(machine, hands)
         assert acts == ["press-reset", "release-reset"]
         assert "count the persons" in said[0]
-        unwired = replace(wired, lifecycle=replace(wired.lifecycle, local_reset=False))
-        await_local_reset(machine, hands, unwired)
+        await_local_reset(machine, hands)
+    with SimulatedMachine(wired.plant, wired.plant) as unfitted:
+        await_local_reset(unfitted, hands)
     assert len(acts) == 2
 
 
@@ -402,12 +434,41 @@ def test_await_local_reset_pressed_and_released_returns(wired: Configuration) ->
     ("stuck", "key"), [(False, ""), (True, ""), (False, "open-guard")], ids=["no press", "stuck", "guard"]
 )
 def test_await_local_reset_without_press_is_refused(wired: Configuration, stuck: bool, key: str) -> None:
-    with SimulatedMachine(wired.plant, wired.plant) as machine:
+    with resettable(wired) as machine:
         own = machine.hands
         machine.driver.plant_state["local_reset"] = stuck
         hands = own._replace(act=lambda one: own.act(ACTS[key]) if key else None, timeout=0.1)
         with pytest.raises(Refused, match="local reset"):
-            await_local_reset(machine, hands, wired)
+            await_local_reset(machine, hands)
+
+
+SLOWLY = (Segment(0.05, (0.0, 0.0, 0.0)),)
+
+
+def test_machine_run_after_opened_guard_requires_new_press(wired: Configuration) -> None:
+    with resettable(wired) as machine:
+        with pytest.raises(Refused, match="local reset"):
+            machine.run(SLOWLY, ADRIFT)
+        await_local_reset(machine, machine.hands)
+        machine.run(SLOWLY, ADRIFT)
+        for key in ("open-guard", "close-guard"):
+            machine.hands.act(ACTS[key])
+            machine.hold()
+        machine.hold()
+        assert not machine.may_move()
+        with pytest.raises(Refused, match="local reset"):
+            machine.run(SLOWLY, ADRIFT)
+        assert machine.driver.applied == PASSIVE
+        await_local_reset(machine, machine.hands)
+        machine.run(SLOWLY, ADRIFT)
+
+
+def test_machine_run_press_behind_open_guard_is_void(wired: Configuration) -> None:
+    with resettable(wired) as machine:
+        for key in ("open-guard", "press-reset", "close-guard", "release-reset"):
+            machine.hands.act(ACTS[key])
+            machine.hold()
+        assert not machine.may_move()
 
 
 # The calendar ----------------------------------------------------------------------------------------------

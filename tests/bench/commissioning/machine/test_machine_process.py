@@ -24,7 +24,7 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import REFUSAL_TEXT, Cause, Refusal, Request, State
 from bench.commissioning.machine.driver_machine import Stalled
 from bench.commissioning.machine.inputs import OperatorIO, of_simulation
-from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment
+from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment, Until
 from bench.commissioning.machine.machine_process import (
     _PIECE,
     LiveRobot,
@@ -559,11 +559,12 @@ def test_send_unread_answer_continues_ticks() -> None:
 # What a busy machine and a bus do to a record ----------------------------------------------------------
 
 
-def test_log_missed_rows_are_interpolated() -> None:
+def test_log_missed_rows_and_invalid_pressures_are_interpolated() -> None:
     log = MotionLog(5, 1000)
     for n in (0, 1, 4, 5):
         readings = new_record(READINGS)
-        readings["time"], readings["encoder_count"], readings["chamber_pressure"] = 7.0 + 0.001 * n, 10 * n, n
+        readings["time"], readings["encoder_count"] = 7.0 + 0.001 * n, 10 * n
+        readings["chamber_pressure"] = INVALID if n == 1 else n
         log.note(readings, Command(valve=(0.01 * n, 0.0, 0.0)), n // 4)
     trace = log.trace(None, (True,), 0.001)
     assert trace.time == pytest.approx(7.0 + 0.001 * np.arange(6))
@@ -573,7 +574,7 @@ def test_log_missed_rows_are_interpolated() -> None:
     assert trace.segment.tolist() == [0, 0, 0, 0, 1, 1]
 
 
-def test_machine_server_pressure_lost_briefly_keeps_value(
+def test_machine_server_pressure_lost_briefly_is_interpolated(
     server: MachineServer, driver: WatchedDriver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lost = [0]
@@ -588,8 +589,10 @@ def test_machine_server_pressure_lost_briefly_keeps_value(
     monkeypatch.setattr(server._machine, "_read_record", read)
     server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
     lost[0] = 5
-    trace = server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
+    above = Until("above", 0, 9e5)
+    trace = server.obey("run", (Segment(0.1, OPENING, until=above),), BOUNDS)
     assert not trace.tripped
+    assert trace.ended == (False,), "an invalid pressure is above no level"
     assert np.isfinite(trace.pressure).all()
     lost[0] = 7
     with pytest.raises(Refused, match="no pressure of shoulder vane A"):
