@@ -41,8 +41,8 @@ from bench.commissioning.machine.commissioning_step import (
     StepResult,
     Traces,
 )
-from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled, without_press
-from bench.commissioning.machine.inputs import ACTS, INSIDE, OperatorIO
+from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
+from bench.commissioning.machine.inputs import OperatorIO
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.steps.friction_identification import FRICTION
@@ -58,7 +58,6 @@ from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
 from bench.supervisor.ownership import try_lock
 from bench.swing.profile import load_profile
-from drivers.base import PASSIVE, Readings
 from sim.plant import ACTUATOR_KEYS, PlantParameters
 
 STATE_FILE, ROBOT_FILE, _LOCK_FILE = "commissioning.json", "robot.toml", "process"
@@ -67,8 +66,6 @@ _DIGEST = "# as written by golfbench commission: "
 """Start of the last line of robot.toml, before the digest of the others."""
 _REPEATS = 9
 """Max repetitions of a measuring step that a stall of the computer ended."""
-_PRESSED = 0.05
-"""Time without a change after which the local reset counts as pressed or released (s)."""
 
 STEPS = (WIRING, VALVES, LEAKAGE, FRICTION, RESPONSE)
 """The steps that measure, in their order."""
@@ -326,24 +323,6 @@ def see_inputs(
         raise_findings(findings)
         beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge"
         done(StepResult((), (f"seen to change: {', '.join(seen.seen)}", beside)))
-
-
-def await_local_reset(machine: SimulatedMachine | LiveRobot, hands: OperatorIO) -> None:
-    """Return once a person has pressed and released the local reset since the guard was last open, if fitted.
-
-    Raises:
-        Refused: it was not pressed alone, or the device fails.
-    """
-    if machine.may_move():
-        return
-    hands.say("The robot is to move: count the persons outside the guard.")
-    readings: Readings | None = None
-    for key, pressed in (("", False), ("press-reset", True), ("release-reset", False)):
-        if key:
-            hands.act(ACTS[key])
-        readings = machine.watch(PASSIVE, readings, inf, _PRESSED, INSIDE * hands.timeout)
-        if readings.local_reset != pressed or not readings.guard_closed:
-            raise without_press()
 
 
 def commission(

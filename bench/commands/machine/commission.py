@@ -162,12 +162,12 @@ def _commission(
     from bench.commissioning.commissioning import (
         ALL_STEPS,
         ROBOT_FILE,
-        await_local_reset,
         commission,
         commission_swings,
         folder_lock,
         known_with_swing,
     )
+    from bench.commissioning.machine.inputs import await_local_reset
     from bench.config import load_configuration
 
     nominal = configuration.plant

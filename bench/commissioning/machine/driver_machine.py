@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bench.base.clock import Clock, FreeClock
 from bench.base.errors import Refused
 from bench.commissioning.machine.commissioning_step import MachineFault
-from bench.commissioning.machine.inputs import SIMULATED_TIMEOUT, Act, OperatorIO, levels
+from bench.commissioning.machine.inputs import SIMULATED_TIMEOUT, Act, OperatorIO, levels, without_press
 from bench.commissioning.machine.machine import (
     ADRIFT,
     Array,
@@ -64,17 +64,15 @@ class Stalled(Refused):
     """A stall of the computer ended a motion; its step can be repeated."""
 
 
-def stopped_by_operator(location: str = "commission", action: str = _RESUME) -> Refused:
+class StoppedByPerson(Refused):
+    """A person stopped the robot, or opened its guard; the step is repeated only by a new command."""
+
+
+def stopped_by_person(
+    location: str = "commission", action: str = _RESUME, found: str = "stopped by the operator"
+) -> StoppedByPerson:
     """Return the error of a motion that was asked to end."""
-    return Refused(
-        location, "stopped by the operator", "a motion without a stop", action[0].upper() + action[1:]
-    )
-
-
-def without_press() -> Refused:
-    """Return the error of a motion that no person at the robot permitted."""
-    action = "Count the persons, close the guard, then continue with --resume."
-    return Refused("local reset", "no press of it alone", "one before the robot moves", action)
+    return StoppedByPerson(location, found, "a motion without a stop", action[0].upper() + action[1:])
 
 
 class _Fault(NamedTuple):
@@ -148,7 +146,7 @@ class DriverMachine:
         return self._now - self._began
 
     def may_move(self) -> bool:
-        """Return whether a fitted local reset was pressed since the guard was last open."""
+        """Return whether a fitted local reset was pressed since guard or emergency stop last opened."""
         return self._permitted
 
     def make_passive(self) -> None:
@@ -340,7 +338,7 @@ class DriverMachine:
             self._refuse_to_go_on()
         if self._stop():
             self.make_passive()
-            raise stopped_by_operator(self._place, self._again)
+            raise stopped_by_person(self._place, self._again)
 
     def _await_tick(self) -> None:
         """Wait for the next tick, and note a stall before it."""
@@ -351,10 +349,11 @@ class DriverMachine:
             self._stalled_at = self._now
 
     def _read(self) -> None:
-        """Take the readings, and note presses of the local reset; an opened guard makes them void."""
+        """Take the readings, and note presses of the local reset; guard or emergency stop makes them void."""
         self._read_record(self._now, self._readings)
         self._fault = self._problem()
-        level, closed = self._readings["local_reset"][0], self._readings["guard_closed"][0]
+        r, level = self._readings[0], self._readings["local_reset"][0]
+        closed = r["guard_closed"] and r["emergency_stop_clear"]
         permitted = closed and (self._permitted or (level and self._reset_was_low))
         self._permitted, self._reset_was_low = bool(permitted or not self._local_reset), not level
         seen, age = self._readings["encoder_valid"][0] != 0, self._readings["encoder_age"][0]

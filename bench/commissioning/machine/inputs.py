@@ -15,15 +15,19 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
-from math import isnan
+from math import inf, isnan
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bench.base.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.commissioning.machine.commissioning_step import MachineFault, Mark
 from drivers.base import PASSIVE, Command, Readings
 from drivers.base.shared_memory import SharedMemoryError
 from sim.exchange import SurroundingsWriter
+
+if TYPE_CHECKING:
+    from bench.commissioning.machine.driver_machine import SimulatedMachine
+    from bench.commissioning.machine.machine_process import LiveRobot
 
 
 class Act(NamedTuple):
@@ -279,8 +283,34 @@ class OperatorIO(NamedTuple):
 
 INSIDE = 5.0
 """Factor of the time for an act with the guard released: a pin is set or removed; persons are counted."""
+_PRESSED = 0.05
+"""Time without a change after which the local reset counts as pressed or released (s)."""
 SIMULATED_TIMEOUT = 2.0
 """Time for each act of simulated hands (s)."""
+
+
+def without_press() -> Refused:
+    """Return the error of a motion that no person at the robot permitted."""
+    action = "Count the persons, close the guard, then repeat it (commission: --resume)."
+    return Refused("local reset", "no press of it alone", "one before air comes on", action)
+
+
+def await_local_reset(machine: SimulatedMachine | LiveRobot, hands: OperatorIO) -> None:
+    """Return once the local reset, if fitted, was pressed and released since an interlock was last open.
+
+    Raises:
+        Refused: it was not pressed alone, or the device fails.
+    """
+    if machine.may_move():
+        return
+    hands.say("Air is to come on: count the persons outside the guard.")
+    readings: Readings | None = None
+    for key, pressed in (("", False), ("press-reset", True), ("release-reset", False)):
+        if key:
+            hands.act(ACTS[key])
+        readings = machine.watch(PASSIVE, readings, inf, _PRESSED, INSIDE * hands.timeout)
+        if readings.local_reset != pressed or not readings.guard_closed:
+            raise without_press()
 
 
 def of_simulation(folder: Path) -> Regulator:

@@ -197,7 +197,7 @@ class LiveRobot:
         return self._trace("vent", duration)
 
     def may_move(self) -> bool:
-        """Return whether a fitted local reset was pressed since the guard was last open."""
+        """Return whether a fitted local reset was pressed since guard or emergency stop last opened."""
         return bool(self._order("may_move"))
 
     def make_passive(self) -> None:

@@ -17,7 +17,12 @@ import numpy as np
 from bench.base.clock import Clock
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
-from bench.commissioning.machine.driver_machine import DriverMachine, Stalled, stopped_by_operator
+from bench.commissioning.machine.driver_machine import (
+    DriverMachine,
+    Stalled,
+    StoppedByPerson,
+    stopped_by_person,
+)
 from bench.config import Configuration
 from bench.control.settings import build_controller, with_tables_of
 from bench.control.states import near_address
@@ -65,6 +70,8 @@ _SWINGS, _CHUNK = 300, 10
 
 _LATCHED = (State.ESTOP, State.FAULT)
 """States that only a reset ends."""
+_BY_PERSON = (Cause.EMERGENCY_STOP, Cause.NETWORK_STOP, Cause.OPERATOR_STOP, Cause.GUARD)
+"""Causes after which a reset alone does not start the robot again."""
 
 Say = Callable[[str], None]
 
@@ -136,7 +143,7 @@ class LiveSeries:
             made = SeriesSwing(cycles, None, float("nan"), Cause.NONE, float("nan"), settled)
             try:
                 cause, stall = self._come_back()
-            except Stalled:
+            except (Stalled, StoppedByPerson):
                 raise
             except Refused as refused:
                 raise return_failed(refused, made._replace(cause=self._operator.cause)) from None
@@ -255,8 +262,7 @@ class LiveSeries:
             try:
                 return self._arm_once()
             except Refused as refused:
-                if self._operator.stop():
-                    raise
+                self._require_no_stop()
                 if not (stall := self._stall()):
                     error = ArmingFailed(*refused.args)
                     error.cycles = self._operator.record()[-round(_LAST / self._operator.period) :]
@@ -270,6 +276,7 @@ class LiveSeries:
     def _arm_once(self) -> None:
         operator = self._operator
         operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
+        self._require_no_stop()
         if self._state in _LATCHED:
             self._revive()
             self._ask(Request.RESET)
@@ -285,7 +292,7 @@ class LiveSeries:
         operator.wait_for(operator.is_vented, SETTLING_TIMEOUT)
         self._ask(Request.ARM)
         if not operator.reach_address():
-            raise stopped_by_operator()
+            raise stopped_by_person()
 
     def _ask(self, request: Request, timeout: float = _TIMEOUT) -> bool:
         """Request until it is accepted; return whether a person locked the supply for it.
@@ -341,8 +348,13 @@ class LiveSeries:
         return State(int(self._operator.control["state"][0]))
 
     def _require_no_stop(self) -> None:
+        """Raise StoppedByPerson after a stop or an opened guard: a reset alone starts no robot again."""
         if self._operator.stop():
-            raise stopped_by_operator()
+            raise stopped_by_person()
+        for name in ("latest_cause", "cause"):
+            cause = Cause(int(self._operator.control[name][0]))
+            if self._state in _LATCHED and cause in _BY_PERSON:
+                raise stopped_by_person(found=cause_text(cause, ""))
 
 
 class MachineServer:

@@ -17,7 +17,16 @@ from bench.base.lifecycle import REFUSAL_WORDS, Refusal
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.commissioning_step import MachineFault, NamedStep
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.inputs import ACTS, INSIDE, OperatorIO, Stage, fitted, judged, stages
+from bench.commissioning.machine.inputs import (
+    ACTS,
+    INSIDE,
+    OperatorIO,
+    Stage,
+    await_local_reset,
+    fitted,
+    judged,
+    stages,
+)
 from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.config import Configuration
@@ -177,6 +186,7 @@ def _beside_the_gauge(
     atmosphere, worst = c.plant.supply.atmosphere, 0.0
     findings = list[MachineFault]()
     for pressure in PRESSURES:
+        await_local_reset(machine, hands)
         hands.regulator(pressure)
         machine.watch(_WARNING, None, inf, c.lifecycle.warning_time, c.lifecycle.warning_time)
         readings = machine.watch(on, None, inf, _FILLED, _FILLED)

@@ -194,7 +194,7 @@ def test_commission_wired_local_reset_is_requested_before_first_step(
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first,))
     monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", ())
     monkeypatch.setattr(
-        "bench.commissioning.commissioning.await_local_reset", lambda *_: asked.append(first.runs)
+        "bench.commissioning.machine.inputs.await_local_reset", lambda *_: asked.append(first.runs)
     )
     assert exit_code(["commission", "--sim", "--output", str(tmp_path / "day")]) == 0
     assert asked == [0]

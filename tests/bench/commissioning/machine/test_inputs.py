@@ -18,10 +18,10 @@ from bench.base.lifecycle import REFUSAL_WORDS, Block, Refusal
 from bench.calibration.archive import add_calibration, effective_calibration
 from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_digest
 from bench.commands.cli import main
-from bench.commissioning.commissioning import await_local_reset, begin, read_state, see_inputs
+from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.machine.commissioning_step import MachineFault
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.inputs import ACTS, INPUTS, Act, fitted, judged, stages
+from bench.commissioning.machine.inputs import ACTS, INPUTS, Act, await_local_reset, fitted, judged, stages
 from bench.commissioning.machine.machine import ADRIFT, Segment
 from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs, off_at_rest
 from bench.config import Configuration
@@ -445,14 +445,15 @@ def test_await_local_reset_without_press_is_refused(wired: Configuration, stuck:
 SLOWLY = (Segment(0.05, (0.0, 0.0, 0.0)),)
 
 
-def test_machine_run_after_opened_guard_requires_new_press(wired: Configuration) -> None:
+@pytest.mark.parametrize("field", ["guard_closed", "emergency_stop_clear"])
+def test_machine_run_after_open_interlock_requires_new_press(wired: Configuration, field: str) -> None:
     with resettable(wired) as machine:
         with pytest.raises(Refused, match="local reset"):
             machine.run(SLOWLY, ADRIFT)
         await_local_reset(machine, machine.hands)
         machine.run(SLOWLY, ADRIFT)
-        for key in ("open-guard", "close-guard"):
-            machine.hands.act(ACTS[key])
+        for closed in (False, True):
+            machine.driver.plant_state[field] = closed
             machine.hold()
         machine.hold()
         assert not machine.may_move()
@@ -469,6 +470,33 @@ def test_machine_run_press_behind_open_guard_is_void(wired: Configuration) -> No
             machine.hands.act(ACTS[key])
             machine.hold()
         assert not machine.may_move()
+
+
+def test_check_inputs_air_requires_press_after_each_open_interlock(wired: Configuration) -> None:
+    acts, c = list[str](), replace(wired, lifecycle=replace(wired.lifecycle, local_reset=True))
+    with SimulatedMachine(c.plant, c.plant, inputs_only=True, local_reset=True) as machine:
+        own = machine.hands
+        assert own.gauge is not None
+        read = own.gauge
+
+        def act(one: Act) -> None:
+            acts.append(one.key)
+            own.act(one)
+
+        def gauge() -> float:
+            shown = read()
+            for clear in (False, True):
+                machine.driver.plant_state["emergency_stop_clear"] = clear
+                machine.hold()
+                machine.hold()
+            acts.append("gauge")
+            return shown
+
+        _, findings = check_inputs(machine, own._replace(act=act, gauge=gauge), c)
+    assert findings == []
+    press = ["press-reset", "release-reset", "gauge"]
+    assert acts[-6:] == press * 2
+    assert "close-guard" in acts[:-6]
 
 
 # The calendar ----------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ import pytest
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
 from bench.base.lifecycle import REFUSAL_TEXT, Cause, Refusal, Request, State
-from bench.commissioning.machine.driver_machine import Stalled
+from bench.commissioning.machine.driver_machine import Stalled, StoppedByPerson
 from bench.commissioning.machine.inputs import OperatorIO, of_simulation
 from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment, Until
 from bench.commissioning.machine.machine_process import (
@@ -366,6 +366,31 @@ def test_machine_server_stop_in_swing_is_refused(
     asked.append(True)
     with pytest.raises(Refused, match="stopped by the operator"):
         armed.obey("swing", slow, False)
+
+
+@needs_speed
+@pytest.mark.parametrize("field", ["emergency_stop_clear", "guard_closed"])
+def test_machine_server_interlock_opened_in_swing_arms_only_by_new_command(
+    armed: MachineServer,
+    slow: Profile,
+    driver: WatchedDriver,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    field: str,
+) -> None:
+    write, ticks = driver.write, [0]
+
+    def interrupt(command: Command) -> Command:
+        ticks[0] += 1
+        if ticks[0] in (3_000, 8_000):
+            with SurroundingsWriter(tmp_path) as surroundings:
+                surroundings.change(**{field: ticks[0] == 8_000})
+        return write(command)
+
+    monkeypatch.setattr(driver, "write", interrupt)
+    with pytest.raises(StoppedByPerson, match="--resume"):
+        armed.obey("swing", slow, False)
+    assert not driver.commands[-1].supply_enable
 
 
 @pytest.mark.slow
