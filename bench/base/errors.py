@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 from enum import IntEnum
+from importlib import import_module
+from typing import Any
 
 FOR_PROGRAMS = "GOLFBENCH_ERRORS"
 """Variable of the environment: with "json" the command line prints each error as a JSON object in a line."""
@@ -74,3 +76,17 @@ def did_you_mean(wanted: str, known: Iterable[str], otherwise: str) -> str:
     """Return the action for an unknown name: the nearest of the `known` ones, else `otherwise`."""
     near = get_close_matches(wanted, list(known), n=1)
     return f"Did you mean {near[0]}?" if near else otherwise
+
+
+def load_extra(module: str, extra: str, location: str, otherwise: str = "") -> Any:
+    """Return `module`, of a package that golfbench's `extra` installs.
+
+    Raises:
+        BenchError: at `location`: it is not installed; `otherwise` says what goes without it.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        found, action = f"package {package} is not installed ({error})", f'pip install "golfbench[{extra}]"'
+        raise BenchError(location, found, f"the package {package}", f"Run {action}{otherwise}.") from error

@@ -20,28 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, load_extra
 from bench.control.settings import ControlSettings, EnvelopeSettings
 from sim.plant import PlantParameters
 from sim.pneumatics import FLOW_TO_PRESSURE, Actuator
 
 
 def load_casadi() -> Any:
-    """Return the package.
-
-    Raises:
-        BenchError: it is not installed.
-    """
-    try:
-        import casadi
-    except ImportError as error:
-        raise BenchError(
-            "profile design",
-            f"package casadi is not installed ({error})",
-            "the package casadi",
-            'Run pip install "golfbench[design]".',
-        ) from error
-    return casadi
+    """Return the package. Raises BenchError if it is not installed."""
+    return load_extra("casadi", "design", "profile design")
 
 
 def require_planned_openings(control: ControlSettings) -> None:

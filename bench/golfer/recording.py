@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, load_extra
 from bench.base.from_toml import encoding_of
 from bench.golfer.roles import Array, Capture, damaged, number
 
@@ -226,16 +226,12 @@ def read_c3d(path: Path, content: bytes) -> Capture:
     Raises:
         BenchError: ezc3d is not installed, or the file is damaged.
     """
-    try:
-        from ezc3d import c3d
-    except ImportError as error:
-        action = "Install it: pip install 'golfbench[mocap]'. Or export TRC or CSV."
-        raise BenchError(str(path), f"{error}", "the package ezc3d", action) from None
+    ezc3d = load_extra("ezc3d", "mocap", str(path), ", or export TRC or CSV")
     if len(content) < 2 * _BLOCK or content[1] != 0x50:
         raise damaged(path, "no header of C3D", "first block")
     _check_length(path, content)
     try:
-        read = c3d(str(path))
+        read = ezc3d.c3d(str(path))
         group = read["parameters"]["POINT"]
         points = np.asarray(read["data"]["points"], dtype=float)
         count = points.shape[1]

@@ -20,7 +20,7 @@ from typing import Any
 from uuid import uuid4
 
 from bench.base.address import IdentityFiles
-from bench.base.errors import BenchError, ExitCode, Refused
+from bench.base.errors import BenchError, ExitCode, Refused, load_extra
 from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Study, code_digest, prepare, run_batch
 
 CONNECT_TIMEOUT = 10.0
@@ -181,21 +181,8 @@ def security_of(files: IdentityFiles) -> Any:
 
 
 def load_distributed() -> Any:
-    """Return the package distributed.
-
-    Raises:
-        BenchError: it is not installed.
-    """
-    try:
-        import distributed
-    except ModuleNotFoundError:
-        raise BenchError(
-            "--cluster",
-            "no package distributed",
-            "dask.distributed",
-            "Install it: pip install 'golfbench[cluster]'.",
-        ) from None
-    return distributed
+    """Return the package. Raises BenchError if it is not installed."""
+    return load_extra("distributed", "cluster", "--cluster")
 
 
 def _run(shared: SharedStudy, batch: CaseBatch) -> BatchDone:

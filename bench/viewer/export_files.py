@@ -34,7 +34,7 @@ import pyarrow.csv as pc
 from scipy.io import savemat
 
 from bench.base.atomic_file import atomic_file
-from bench.base.errors import BenchError
+from bench.base.errors import load_extra
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.records.telemetry.cycle_record import (
     ENUMERATIONS,
@@ -131,18 +131,13 @@ def write_mcap(path: Path, record: SwingRecord) -> list[Path]:
         BenchError: the package mcap is not installed.
         NotStored: they cannot be stored.
     """
-    try:
-        from mcap.writer import CompressionType, Writer
-    except ImportError as error:
-        found, action = f"package mcap is not installed ({error})", 'Run pip install "golfbench[mcap]".'
-        raise BenchError("export --format mcap", found, "the package mcap", action) from error
-
+    mcap = load_extra("mcap.writer", "mcap", "export --format mcap")
     schemas = {
         "/cycle": (f"golfbench.Cycle.{SCHEMA_VERSION}", cycle_schema()),
         "/log": ("foxglove.Log", _log_schema()),
     }
     with atomic_file(path) as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer = mcap.Writer(stream, compression=mcap.CompressionType.ZSTD)
         writer.start(library=f"golfbench {version('golfbench')}")
         channels = {
             topic: writer.register_channel(
@@ -154,7 +149,7 @@ def write_mcap(path: Path, record: SwingRecord) -> list[Path]:
             message = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
             writer.add_message(channels[topic], at, message, at, number)
         writer.add_metadata("golfbench", {key: json.dumps(value) for key, value in record.metadata.items()})
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     layout = path.with_name(LAYOUT)
     with atomic_file(layout) as stream:
         stream.write(resources.files("bench.viewer").joinpath(LAYOUT).read_bytes())

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.address import identity_files
-from bench.base.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode, load_extra
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.records.shot.recorded_shot import FlightConditions
@@ -65,7 +65,8 @@ def serve_page(
             use.
     """
     hosts, access = checked_address(address), page_access(address, configuration)
-    _require_packages()
+    for package in ("starlette", "uvicorn"):
+        load_extra(package, "page", "golfbench page")
     with _listening(address) as listener, ExitStack() as stack:
         settings, broadcaster = configuration.bench, PageBroadcaster()
         downloads = Downloads(settings.data_dir, settings.id)
@@ -118,17 +119,6 @@ def _started_reader(
     if newest is not None:
         reader.offer(newest)
     return reader
-
-
-def _require_packages() -> None:
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-    except ImportError as error:
-        action = 'pip install "golfbench[page]"'
-        raise BenchError(
-            "golfbench page", f"no package ({error})", "starlette and uvicorn", action
-        ) from error
 
 
 def run_outcome(record: dict[str, Any]) -> str:

@@ -36,7 +36,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bench.base.atomic_file import atomic_file, atomic_path
-from bench.base.errors import BenchError
+from bench.base.errors import load_extra
 from bench.viewer.drawing.bodies import (
     NO_TURN,
     Bar,
@@ -364,18 +364,8 @@ _MM = 1000.0
 
 
 def load_build123d() -> Any:
-    """Return the package.
-
-    Raises:
-        BenchError: it is not installed.
-    """
-    try:
-        import build123d
-    except ImportError as error:
-        found = f"no package build123d ({error})"
-        action = 'pip install "golfbench[cad]"; glTF and URDF need nothing more'
-        raise BenchError("draw --format step", found, "the extra that makes exact solids", action) from error
-    return build123d
+    """Return the package. Raises BenchError if it is not installed."""
+    return load_extra("build123d", "cad", "draw --format step", "; glTF and URDF need nothing more")
 
 
 def _location(b: Any, turn: Any, at: Any) -> Any:
