@@ -152,6 +152,39 @@ def default_profile() -> Profile:
     return load_profile(find_profile("default"))
 
 
+# The command line in this process --------------------------------------------------------------------
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+    @property
+    def words(self) -> str:
+        """All of the screen, with single blanks."""
+        assert "Traceback" not in self.err
+        return " ".join((self.out + self.err).split())
+
+
+Run = Callable[..., Outcome]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command line; return its exit code and both outputs."""
+    from bench.commands.cli import main
+
+    def run(*arguments: object) -> Outcome:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main([str(argument) for argument in arguments])
+        assert isinstance(ended.value.code, int)
+        return Outcome(int(ended.value.code), *capsys.readouterr())
+
+    return run
+
+
 # Leaks -----------------------------------------------------------------------------------------------
 
 

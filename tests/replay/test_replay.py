@@ -17,7 +17,6 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
-from bench.commands.cli import main
 from bench.control.law.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.control.step_records import ControlParameters
@@ -33,6 +32,7 @@ from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver
 from tests.bench.simulation.driver_loop import DriverLoop
+from tests.conftest import Run
 from tests.replay.renew import STOP, SWING, reference_bench
 from tests.sampling import release_except
 
@@ -376,31 +376,24 @@ def test_replay_snapshot_of_other_tick_raises(swing: Record) -> None:
 # The command ------------------------------------------------------------------------------------------
 
 
-def command(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as end:
-        main(["replay", *arguments])
-    return int(end.value.code or 0)
+def test_replay_command_equal_record_reports_equal(run: Run) -> None:
+    code, text, _ = run("replay", SWING)
+    assert (code, "Equal: today's controller repeats the record." in text) == (0, True)
 
 
-def test_replay_command_equal_record_reports_equal(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(str(SWING)) == 0
-    assert "Equal: today's controller repeats the record." in capsys.readouterr().out
-
-
-def test_replay_command_different_record_reports_first_tick(
-    tmp_path: Path, swing: Record, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_command_different_record_reports_first_tick(tmp_path: Path, swing: Record, run: Run) -> None:
     cycles = since(swing[0], 0.0)
     cycles["phase"][700], cycles["angle"][900] = Phase.HOLD, np.nan
     metadata = {k: v for k, v in swing[1].items() if k not in {"schema_version", "enumerations"}}
     path = tmp_path / "tampered.parquet"
     write_swing(path, cycles, metadata)
-    assert command(str(path)) == 1
-    text = capsys.readouterr().out
+    code, text, _ = run("replay", path)
+    assert code == 1
     assert f"Different: first in tick {cycles['tick'][700]}, phase." in text
     assert "HOLD" in text
-    assert command(str(path), "--json") == 1
-    answer = json.loads(capsys.readouterr().out)
+    code, text, _ = run("replay", path, "--json")
+    assert code == 1
+    answer = json.loads(text)
     assert (answer["equal"], answer["ticks"]) == (False, len(cycles) - 1)
     found = {field["field"]: field for field in answer["fields"]}
     assert set(found) == DECIDED
@@ -417,9 +410,7 @@ def test_replay_command_different_record_reports_first_tick(
     ],
 )
 def test_replay_command_invalid_usage_exits_with_error(
-    arguments: list[str], code: int, text: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], code: int, text: str, run: Run
 ) -> None:
-    assert command(*arguments) == code
-    errors = capsys.readouterr().err
-    assert text in errors
-    assert "Traceback" not in errors
+    outcome = run("replay", *arguments)
+    assert (outcome.code, text in outcome.words) == (code, True)

@@ -26,8 +26,8 @@ from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
 from bench.base.interrupt import Terminated
 from bench.commands.cli import accept_any_text, command_line
 from drivers.base import DriverError
-from tests.bench.commands.conftest import Outcome, Run
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.conftest import Outcome, Run
 from tests.sampling import release_except
 
 TOP = Path(__file__).resolve().parents[3]

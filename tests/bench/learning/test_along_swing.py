@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.commands.cli import main
 from bench.config import load_configuration, shipped_configuration
 from bench.control.law.gain_table import Gains
 from bench.control.law.linear_loop import Estimator, LinearPlant, least_damping, linearize, steady_estimator
@@ -21,6 +20,7 @@ from bench.swing.profile import load_profile
 from sim.plant import advance, build_plant
 from tests.bench.hand_gains import HAND
 from tests.compiled_only import needs_speed
+from tests.conftest import Run
 
 
 @pytest.fixture(scope="module")
@@ -150,12 +150,11 @@ def test_gains_along_machine_gains_exceed_hand_gain_margins(
 
 
 @needs_speed
-def test_tune_command_shows_margins_and_swings(capsys: pytest.CaptureFixture[str]) -> None:
+def test_tune_command_shows_margins_and_swings(run: Run) -> None:
     def shown(*options: str) -> str:
-        with pytest.raises(SystemExit) as ended:
-            main(["tune", *options])
-        assert ended.value.code == 0
-        return capsys.readouterr().out
+        code, text, _ = run("tune", *options)
+        assert code == 0
+        return text
 
     told, text = json.loads(shown("--json")), shown()
     assert len(told["margins"]) == 21

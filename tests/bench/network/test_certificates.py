@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
@@ -13,21 +12,8 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.commands.cli import main
 from bench.network.certificates import AUTHORITY, make_authority, read_identity, write_identity
-
-Run = Callable[..., tuple[int, str]]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    def command(*arguments: object) -> tuple[int, str]:
-        with pytest.raises(SystemExit) as end:
-            main(["certificates", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return int(str(end.value.code)), out + err
-
-    return command
+from tests.conftest import Run
 
 
 def load(path: Path) -> x509.Certificate:
@@ -36,8 +22,10 @@ def load(path: Path) -> x509.Certificate:
 
 def test_certificates_command_creates_bench_and_client_identities(run: Run, tmp_path: Path) -> None:
     folder = tmp_path / "certificates"
-    assert run(folder, "bench1", "--address", "192.0.2.5", "--address", "bench.example")[0] == 0
-    assert run(folder, "anna", "bob", "--days", "30")[0] == 0
+    assert (
+        run("certificates", folder, "bench1", "--address", "192.0.2.5", "--address", "bench.example")[0] == 0
+    )
+    assert run("certificates", folder, "anna", "bob", "--days", "30")[0] == 0
     names = {f"{name}.{end}" for name in (AUTHORITY, "bench1", "anna", "bob") for end in ("pem", "key")}
     assert {path.name for path in folder.iterdir()} == names
     for path in folder.glob("*.key"):
@@ -59,36 +47,33 @@ def test_certificates_command_creates_bench_and_client_identities(run: Run, tmp_
 
 
 def test_certificates_command_existing_name_is_refused_unchanged(run: Run, tmp_path: Path) -> None:
-    run(tmp_path, "anna")
+    run("certificates", tmp_path, "anna")
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    code, text = run(tmp_path, "anna")
-    assert code == ExitCode.REFUSED
-    assert "anna.key" in text
+    refused = run("certificates", tmp_path, "anna")
+    assert (refused.code, "anna.key" in refused.words) == (ExitCode.REFUSED, True)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("name", ["", "../anna", "an na", AUTHORITY, "-x", "a" * 64])
 def test_certificates_command_invalid_name_is_rejected(name: str, run: Run, tmp_path: Path) -> None:
-    code, _ = run(tmp_path / "new", "--", name)
-    assert code == ExitCode.BAD_INPUT
+    assert run("certificates", tmp_path / "new", "--", name).code == ExitCode.BAD_INPUT
     assert not (tmp_path / "new").exists()
 
 
 def test_certificates_command_unusable_folder_exits_with_file_error(run: Run, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    code, text = run(tmp_path / "file", "anna")
-    assert code == ExitCode.FILE
-    assert "Traceback" not in text
+    outcome = run("certificates", tmp_path / "file", "anna")
+    assert outcome.code == ExitCode.FILE, outcome.words
 
 
 def test_certificates_command_invalid_authority_is_rejected(run: Run, tmp_path: Path) -> None:
-    run(tmp_path, "anna")
+    run("certificates", tmp_path, "anna")
     (tmp_path / "authority.key").write_bytes((tmp_path / "anna.key").read_bytes())
-    assert run(tmp_path, "bob")[0] == ExitCode.BAD_INPUT
+    assert run("certificates", tmp_path, "bob")[0] == ExitCode.BAD_INPUT
     (tmp_path / "authority.key").write_text("no key")
-    assert run(tmp_path, "bob")[0] == ExitCode.BAD_INPUT
+    assert run("certificates", tmp_path, "bob")[0] == ExitCode.BAD_INPUT
     (tmp_path / "authority.key").unlink()
-    assert run(tmp_path, "bob")[0] == ExitCode.FILE
+    assert run("certificates", tmp_path, "bob")[0] == ExitCode.FILE
     assert not (tmp_path / "bob.pem").exists()
 
 

@@ -14,13 +14,13 @@ import zenoh
 
 from bench.base.address import free_port
 from bench.base.errors import BenchError, ExitCode
-from bench.commands.cli import main
 from bench.config import Configuration, NetworkSettings
 from bench.network.certificates import make_certificate, write_identity
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer, open_client, open_daemon
 from tests.bench.certified import Folder, bench_of, client_of
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, running_plane
+from tests.conftest import Run
 
 PUBLISHED = ("telemetry", "state", "event", "shot", "loop")
 
@@ -239,7 +239,7 @@ def test_loopback_client_commands_without_role(bench: RunningPlane) -> None:
 
 
 def test_command_line_denied_command_exits_with_75(
-    bench: RunningPlane, folder: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bench: RunningPlane, folder: Folder, tmp_path: Path, run: Run
 ) -> None:
     file = tmp_path / "elsewhere.toml"
     outcomes = []
@@ -249,9 +249,8 @@ def test_command_line_denied_command_exits_with_75(
             f'identity = "{folder.path / name}"\n'
         )
         for verb in ("status", "disarm", "stop"):
-            with pytest.raises(SystemExit) as end:
-                main(["--config", str(file), verb])
-            outcomes.append((name, verb, end.value.code, "denied or not running" in capsys.readouterr().err))
+            code, _, err = run("--config", file, verb)
+            outcomes.append((name, verb, code, "denied or not running" in err))
     assert outcomes == [
         ("anna", "status", 0, False),
         ("anna", "disarm", 75, True),

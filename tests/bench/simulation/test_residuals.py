@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.commands.cli import main
 from bench.config import Configuration
 from bench.control.estimate.residual_monitor import KINDS
 from bench.records.telemetry.record_file import read_swing, write_swing
@@ -19,6 +18,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
 from tests.compiled_only import needs_speed
+from tests.conftest import Run
 
 
 def _steady(swings: int) -> np.ndarray:
@@ -63,7 +63,7 @@ def _worn(plant: PlantParameters, band: float) -> PlantParameters:
 @pytest.mark.slow
 @needs_speed
 def test_wear_command_worn_valve_names_joint_before_swing_stops(
-    configuration: Configuration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    configuration: Configuration, tmp_path: Path, run: Run
 ) -> None:
     path = find_profile(configuration.swing.profile)
     profile = load_profile(path)
@@ -84,13 +84,10 @@ def test_wear_command_worn_valve_names_joint_before_swing_stops(
     assert NEAR <= latest[1] < 1.0
     file = tmp_path / "golfbench.toml"
     file.write_text(f'base = "shipped"\nbench = {{ id = "b1", data_dir = "{tmp_path}" }}\n')
-    with pytest.raises(SystemExit) as ended:
-        main(["--config", str(file), "wear", str(tmp_path / "1.parquet")])
-    assert ended.value.code == 1
-    assert "wrist flow is near its limit" in " ".join(capsys.readouterr().out.split())
-    with pytest.raises(SystemExit):  # an analysis of earlier swings
-        main(["--config", str(file), "wear", str(tmp_path / "0.parquet")])
-    assert "not stored: found swings until 2026-01-01" in " ".join(capsys.readouterr().err.split())
+    warned = run("--config", file, "wear", tmp_path / "1.parquet")
+    assert (warned.code, "wrist flow is near its limit" in warned.words) == (1, True)
+    earlier = run("--config", file, "wear", tmp_path / "0.parquet")
+    assert "not stored: found swings until 2026-01-01" in " ".join(earlier.err.split())
     (finding,) = (one for one in read_wear(wear_file(tmp_path, "b1")).findings if one["part"] == "wrist flow")
     assert finding["text"].startswith("wrist flow is near its limit: ")
     assert finding["time_utc"] == "2026-01-02T00:00:00"

@@ -26,7 +26,6 @@ from bench.calibration.calibration import (
     wiring_digest,
 )
 from bench.commands.bench.status_table import status_table
-from bench.commands.cli import main
 from bench.config import Configuration, database_url, load_configuration
 from bench.network.bench_service import CommandAnswer
 from bench.network.client import CommandRefused
@@ -37,6 +36,7 @@ from bench.supervisor.daemon import Daemon
 from bench.supervisor.readiness import FEEDBACK_ONLY, HALF_BLIND, NO_MODEL_CHECK, assess_bench
 from bench.web.bench_link import state_view
 from tests.bench.fake_bench_service import FakeDesk
+from tests.conftest import Outcome, Run
 
 NOW = datetime(2026, 11, 26, 12, 0, tzinfo=UTC)
 MISSED = BallPosition(0.15, -1.6, 5e-4)
@@ -439,25 +439,19 @@ def golfbench(
     configuration: Configuration,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> Callable[..., tuple[int, str, str]]:
+    run: Run,
+) -> Run:
     """Return a function that runs a command with the data of `configuration`."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
 
-    def run(*arguments: str, more: str = "") -> tuple[int, str, str]:
+    def command(*arguments: str, more: str = "") -> Outcome:
         settings = configuration.bench
         text = f'base = "shipped"\n[bench]\nid = "{settings.id}"\ndata_dir = "{settings.data_dir}"\n'
         (tmp_path / "mine.toml").write_text(text + more, encoding="utf-8")
-        with pytest.raises(SystemExit) as end:
-            main(["--config", "mine.toml", *arguments])
-        output = capsys.readouterr()
-        return int(end.value.code or 0), output.out, output.err
+        return run("--config", "mine.toml", *arguments)
 
-    return run
-
-
-Run = Callable[..., tuple[int, str, str]]
+    return command
 
 
 @pytest.mark.parametrize(

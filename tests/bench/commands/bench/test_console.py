@@ -43,7 +43,7 @@ from bench.commands.cli import command_line
 from bench.commands.common import Session
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer
-from tests.bench.commands.conftest import Run
+from tests.conftest import Run
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.running_bench import running_bench, write_configuration
 from tests.waiting import wait_until

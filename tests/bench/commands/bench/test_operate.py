@@ -27,8 +27,8 @@ from bench.network.client import REST
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.supervisor.status import NO_LAUNCH_MONITOR
-from tests.bench.commands.conftest import Outcome, Run
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.conftest import Outcome, Run
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import ExitCode
-from tests.bench.commands.conftest import Run
+from tests.conftest import Run
 
 
 @pytest.mark.parametrize("driver", ["canopen", "daq"])

@@ -19,10 +19,10 @@ import pytest
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import State
 from bench.records.telemetry.record_file import write_swing
-from tests.bench.commands.conftest import Run
 from tests.bench.golfer.synthetic import golfer_swing
 from tests.bench.records.telemetry.fake_bench import BENCH, fake_bench, loopback
 from tests.bench.records.telemetry.read_recording import Recording
+from tests.conftest import Run
 
 Cycles = np.ndarray[Any, Any]
 HURRY = 60.0

@@ -37,8 +37,8 @@ from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.rows import CampaignState
-from tests.bench.commands.conftest import Outcome, Run
 from tests.bench.records.shot.read_shots import read_shot_table
+from tests.conftest import Outcome, Run
 from tests.sampling import release_except
 
 

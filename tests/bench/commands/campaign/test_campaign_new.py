@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import ExitCode
-from tests.bench.commands.conftest import Run
+from tests.conftest import Run
 from tests.sampling import release_except
 
 TWO = ("--compare", "ball", "--ball", "tour", "--ball", "range", "--club", "driver")

@@ -23,8 +23,8 @@ from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.records.telemetry.record_file import read_swing
 from bench.swing.library import find_profile
-from tests.bench.commands.conftest import Outcome, Run
 from tests.bench.records.shot.read_shots import read_shot_table
+from tests.conftest import Outcome, Run
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"

@@ -25,7 +25,7 @@ from bench.supervisor.ownership import bench_folder
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import fly
-from tests.bench.commands.conftest import Run
+from tests.conftest import Run
 
 BALL = ["ball", "--x", "0.2503", "--y", "-1.5602", "--uncertainty-mm", "0.5"]
 CLUB = [

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.commands.conftest import Run
+from tests.conftest import Run
 from tests.replay.renew import SWING
 
 

@@ -10,7 +10,7 @@ import pytest
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.commands.swing.records import Format, planned_exports
 from bench.records.telemetry.record_file import write_swing
-from tests.bench.commands.conftest import Run
+from tests.conftest import Run
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ import pytest
 from bench.base.errors import BenchError
 from bench.golfer.golfer_file import load_golfer
 from bench.swing.golfers import GOLFERS
-from tests.bench.commands.conftest import Run
 from tests.bench.golfer.synthetic import BALL, MAP, Synthetic, angles, write
+from tests.conftest import Run
 
 BODY = "\n".join(line for line in MAP.splitlines() if not line.startswith(("grip", "head")))
 

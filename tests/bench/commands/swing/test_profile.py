@@ -20,8 +20,8 @@ from bench.golfer.comparison import compare_motions, golfer_motion, robot_motion
 from bench.swing import library
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import Profile, as_written, load_profile, save_profile
-from tests.bench.commands.conftest import Run
 from tests.bench.golfer.synthetic import golfer_swing
+from tests.conftest import Run
 
 SHIPPED = load_profile(find_profile("driver-85mph"))
 IRON = find_profile("iron7-78mph")
