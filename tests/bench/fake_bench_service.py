@@ -245,3 +245,23 @@ def running_plane(
         finally:
             service.free.set()
             plane.close()
+
+
+@contextmanager
+def publishing(running: RunningPlane) -> Iterator[threading.Event]:
+    """Publish the state until the block's end; while the yielded event is clear, stay silent."""
+    ended, speaking = threading.Event(), threading.Event()
+    speaking.set()
+
+    def publish() -> None:
+        while not ended.wait(0.02):
+            if speaking.is_set():
+                running.plane.publish_state(running.service.status())
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield speaking
+    finally:
+        ended.set()
+        thread.join()

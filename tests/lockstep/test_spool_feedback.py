@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -15,9 +13,10 @@ from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.faults import Fault, own_records
 from sim.plant import PlantParameters, build_plant
+from tests.bench.control.monitor.test_position_monitor_spools import with_worn_valves
 
 FITTED = PlantParameters(spool_feedback=True)
-ACTUATORS = ("shoulder", "right_arm", "wrist")
+WORN = with_worn_valves(FITTED, 0.2, 0.012, 0.008)
 
 
 def swinging(profile: Profile, plant: PlantParameters) -> Lockstep:
@@ -32,21 +31,7 @@ def swinging(profile: Profile, plant: PlantParameters) -> Lockstep:
     return bench
 
 
-def worn(slower: float, band: float, centre: float) -> PlantParameters:
-    plant = FITTED
-    for name in ACTUATORS:
-        actuator = getattr(plant, name)
-        valve = replace(
-            actuator.valve,
-            natural_frequency=(1.0 - slower) * actuator.valve.natural_frequency,
-            dead_band=actuator.valve.dead_band + band,
-            centre=centre,
-        )
-        plant = replace(plant, **{name: replace(actuator, valve=valve)})
-    return plant
-
-
-@pytest.mark.parametrize("plant", [FITTED, worn(0.2, 0.012, 0.008)], ids=["as known", "worn valves"])
+@pytest.mark.parametrize("plant", [FITTED, WORN], ids=["as known", "worn valves"])
 def test_swing_with_spool_feedback_of_healthy_valves_not_stopped(
     default_profile: Profile, plant: PlantParameters
 ) -> None:

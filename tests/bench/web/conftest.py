@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,7 +11,13 @@ from typing import Any
 import pytest
 
 from bench.config import Configuration
-from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import (
+    FakeDesk,
+    RunningPlane,
+    loopback_configuration,
+    publishing,
+    running_plane,
+)
 from tests.bench.web.browser_tab import TIMEOUT
 from tests.bench.web.chromium import launched
 from tests.bench.web.noting_program import NotingProgram
@@ -20,23 +25,16 @@ from tests.bench.web.running_page import RunningPage, running_page
 
 
 @contextmanager
-def publishing(running: RunningPlane) -> Iterator[threading.Event]:
-    """Publish the state until the block's end; while the yielded event is clear, stay silent."""
-    ended, speaking = threading.Event(), threading.Event()
-    speaking.set()
-
-    def publish() -> None:
-        while not ended.wait(0.02):
-            if speaking.is_set():
-                running.plane.publish_state(running.service.status())
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
-        yield speaking
-    finally:
-        ended.set()
-        thread.join()
+def followed_page(configuration: Configuration, **arguments: Any) -> Iterator[RunningPage]:
+    """Run a bench that publishes its state, and its page with `arguments`; yield the page once it has it."""
+    with (
+        running_plane(FakeDesk(), configuration) as running,
+        publishing(running),
+        running_page(configuration, **arguments) as page,
+    ):
+        with page.stream() as following:
+            following("state")
+        yield page
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,8 @@ from bench.config import Configuration
 from bench.network.lease import MIN_SECONDS
 from bench.web import page_service
 from bench.web.page_access import PageAddress
-from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, publishing, running_plane
 from tests.bench.web.browser_tab import open_tab
-from tests.bench.web.conftest import publishing
 from tests.bench.web.day_at_page import VIEWER, sign_in
 from tests.bench.web.running_page import RunningPage, running_page
 

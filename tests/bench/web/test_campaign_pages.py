@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,9 @@ from bench.web.campaign_service import CampaignService
 from bench.web.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from tests.bench.campaign.plans import NOW
 from tests.bench.campaign.report.test_campaign_report import _record
-from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
-from tests.bench.web.conftest import publishing
-from tests.bench.web.running_page import RunningPage, running_page
+from tests.bench.fake_bench_service import loopback_configuration
+from tests.bench.web.conftest import followed_page
+from tests.bench.web.running_page import RunningPage
 from tests.benchmarks.campaign_statistics import Truth
 from tests.waiting import wait_until
 
@@ -73,12 +73,7 @@ def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
 
 @pytest.fixture(scope="module")
 def page(configuration: Configuration) -> Iterator[RunningPage]:
-    with ExitStack() as stack:
-        running = stack.enter_context(running_plane(FakeDesk(), configuration))
-        stack.enter_context(publishing(running))
-        page = stack.enter_context(running_page(configuration))
-        with page.stream() as following:
-            following("state")
+    with followed_page(configuration) as page:
         yield page
 
 

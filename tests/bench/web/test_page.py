@@ -11,8 +11,13 @@ import pytest
 from bench.base.lifecycle import Request, State
 from bench.network.command_plane import HEARTBEAT
 from bench.web.last_swing import SwingReader
-from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
-from tests.bench.web.conftest import publishing
+from tests.bench.fake_bench_service import (
+    FakeDesk,
+    RunningPlane,
+    loopback_configuration,
+    publishing,
+    running_plane,
+)
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
 from tests.waiting import wait_until
 

@@ -13,7 +13,6 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +26,9 @@ from bench.web.answers import InvalidBody
 from bench.web.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
 from bench.web.page_server import run_outcome
 from bench.web.start_service import _FORMS, PlanCatalogue, form_arguments
-from tests.bench.fake_bench_service import FakeDesk, running_plane
-from tests.bench.web.conftest import publishing
+from tests.bench.web.conftest import followed_page
 from tests.bench.web.noting_program import NotingProgram
-from tests.bench.web.running_page import HURRY, RunningPage, running_page
+from tests.bench.web.running_page import HURRY, RunningPage
 from tests.waiting import wait_until
 
 SCRIPT = "<script>alert(1)</script>"
@@ -38,12 +36,7 @@ SCRIPT = "<script>alert(1)</script>"
 
 @pytest.fixture
 def page(configuration: Configuration, program: NotingProgram) -> Iterator[RunningPage]:
-    with ExitStack() as stack:
-        running = stack.enter_context(running_plane(FakeDesk(), configuration))
-        stack.enter_context(publishing(running))
-        page = stack.enter_context(running_page(configuration, golfbench=program.command))
-        with page.stream() as following:
-            following("state")
+    with followed_page(configuration, golfbench=program.command) as page:
         yield page
 
 

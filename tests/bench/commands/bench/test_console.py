@@ -43,8 +43,14 @@ from bench.commands.cli import command_line
 from bench.commands.common import Session
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import NoAnswer
+from tests.bench.fake_bench_service import (
+    FakeDesk,
+    RunningPlane,
+    loopback_configuration,
+    publishing,
+    running_plane,
+)
 from tests.conftest import Run
-from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.running_bench import running_bench, write_configuration
 from tests.waiting import wait_until
 
@@ -72,20 +78,8 @@ def file(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @contextmanager
 def published_plane(port: int, state: State = State.ESTOP) -> Iterator[RunningPlane]:
     """Run a plane that publishes its state as a bench does."""
-    with running_plane(FakeDesk(state), loopback_configuration(port)) as running:
-        ended = threading.Event()
-
-        def publish() -> None:
-            while not ended.wait(0.05):
-                running.plane.publish_state(running.service.status())
-
-        thread = threading.Thread(target=publish)
-        thread.start()
-        try:
-            yield running
-        finally:
-            ended.set()
-            thread.join()
+    with running_plane(FakeDesk(state), loopback_configuration(port)) as running, publishing(running):
+        yield running
 
 
 # Lines -----------------------------------------------------------------------------------------------

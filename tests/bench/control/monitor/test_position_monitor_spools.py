@@ -24,9 +24,10 @@ TICK = 1e-3
 CAUSES = [Cause.SHOULDER_SPOOL, Cause.ARM_SPOOL, Cause.WRIST_SPOOL]
 
 
-def plant_record(slower: float = 0.0, dead_band: float = 0.0, centre: float = 0.0) -> np.ndarray:
-    """Return a plant's parameters with valves that differ from the default by so much."""
-    plant = PlantParameters()
+def with_worn_valves(
+    plant: PlantParameters, slower: float, dead_band: float, centre: float
+) -> PlantParameters:
+    """Return `plant` with valves that differ by so much."""
     for name in ("shoulder", "right_arm", "wrist"):
         actuator = getattr(plant, name)
         valve = replace(
@@ -36,7 +37,12 @@ def plant_record(slower: float = 0.0, dead_band: float = 0.0, centre: float = 0.
             centre=actuator.valve.centre + centre,
         )
         plant = replace(plant, **{name: replace(actuator, valve=valve)})
-    return build_plant(plant).plant
+    return plant
+
+
+def plant_record(*changes: float) -> np.ndarray:
+    """Return the parameters of the default plant, its valves changed as `with_worn_valves` does."""
+    return build_plant(with_worn_valves(PlantParameters(), *changes or (0.0, 0.0, 0.0))).plant
 
 
 class Valves:
