@@ -19,19 +19,19 @@ from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.atomic_file import atomic_file
-from bench.base.errors import BenchError, did_you_mean
-from bench.base.from_toml import MAX_FINITE, format_value, read_toml
+from bench.base.errors import BenchError
+from bench.base.from_toml import Builder, as_tree, format_value, read_toml
 from bench.base.json_schema import require_fit
 from bench.base.lifecycle import Phase
 from bench.base.to_toml import toml_value
 from drivers.base import JOINTS
-from drivers.base.ranges import Count
+from drivers.base.ranges import AtLeast, Count, Range
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -251,19 +251,58 @@ class Profile:
         ]
 
 
-_TEXT = (str, "a text in quotes")
-_SECONDS = (float, "a finite number of seconds, with a decimal point")
-_SCALARS: dict[str, tuple[type, str]] = {
-    "schema": _TEXT,
-    "name": _TEXT,
-    "text": _TEXT,
-    "golfer": _TEXT,
-    "club": _TEXT,
-    "period_s": _SECONDS,
-    "blind_spacing": (int, "a whole number of samples"),
-    "impact_time_s": _SECONDS,
+_Place = Annotated[float, Range(-3.0, 3.0, "m")]
+_Pressure = Annotated[float, Range(1.0e5, 2.0e6, "Pa absolute")]
+_Sample = Annotated[int, AtLeast(0)]
+_Row = tuple[float, float, float]
+_Pattern = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class _Address:
+    """Table `address` of a file."""
+
+    supply_pressure_pa: _Pressure
+    chamber_pressures_pa: tuple[_Pressure, _Pressure, _Pressure, _Pressure, _Pressure, _Pressure]
+
+    def __post_init__(self) -> None:
+        if max(self.chamber_pressures_pa) >= self.supply_pressure_pa:
+            limit = f"less than the supply's {self.supply_pressure_pa:g} Pa"
+            raise ValueError(f"chamber_pressures_pa {limit}: the limit of a dithered spool")
+
+
+_OPTIONAL = {"optional": True}
+
+
+@dataclass(frozen=True)
+class _ProfileFile:
+    """Keys of a file besides _TABLES_OF_NUMBERS."""
+
+    schema: Literal["golfbench-profile/2", "golfbench-profile/1"]
+    name: str
+    text: str
+    golfer: str
+    club: str
+    period_s: Annotated[float, Range(1e-4, 0.02, "s")]
+    begins: tuple[_Sample, _Sample, _Sample, _Sample, _Sample, _Sample, _Sample]
+    ball_m: tuple[_Place, _Place]
+    impact_time_s: float
+    blind_spacing: Annotated[int, AtLeast(1)]
+    table: str = field(default="", metadata=_OPTIONAL)
+    table_sha256: str = field(default="", metadata=_OPTIONAL)
+    angle_rad: tuple[_Row, ...] = field(default=(), metadata=_OPTIONAL)
+    velocity_rad_per_s: tuple[_Row, ...] = field(default=(), metadata=_OPTIONAL)
+    valve: tuple[_Row, ...] = field(default=(), metadata=_OPTIONAL)
+    blind_brake: tuple[_Pattern, ...] = field(default=(), metadata=_OPTIONAL)
+    address: _Address = field(default=cast("Any", None), metadata=_OPTIONAL)
+
+
+_TABLES_OF_NUMBERS = {
+    "delivery": dict[str, float],
+    "limits": dict[str, float],
+    "followed": FollowedGolfer | None,
 }
-_LISTS = ("ball_m", "begins")
+"""Tables of a file whose keys may be any, or the golfer's."""
 _TABLES = {
     "angle_rad": "angle",
     "velocity_rad_per_s": "velocity",
@@ -271,12 +310,8 @@ _TABLES = {
     "blind_brake": "blind_brake",
 }
 """Key of a table in a file, and its field."""
-_ADDRESS = {"supply_pressure_pa": 1, "chamber_pressures_pa": 6}
-"""Keys of the table `address`, which a profile may have, and how many pressures each holds."""
-_PRESSURES = (1.0e5, 2.0e6)
-"""Range of a planned pressure (Pa absolute)."""
-_BESIDE: dict[str, tuple[type, str]] = {"table": _TEXT, "table_sha256": _TEXT}
-_GROUPS = ("delivery", "limits")
+_BESIDE = ("table", "table_sha256")
+"""Keys of a file that names the file of its tables."""
 _ACTION = "Correct the profile, or design it again with `golfbench profile design`."
 _ACTION_ADDRESS = "Plan them with `golfbench profile address`, or leave the table `address` out."
 _ACTION_TABLE = (
@@ -294,112 +329,55 @@ def load_profile(path: Path) -> Profile:
             physical range, or the tables do not fit together.
     """
     raw = read_toml(path, "a swing profile", "`golfbench profile list` shows the known ones.")
-    beside = raw.get("schema") == SCHEMA
-    _check_keys(path, raw, beside=beside)
-    tables = {key: _array(path, key, raw[key], 1) for key in _LISTS}
-    if beside:
-        tables |= _read_table(path, raw)
-    else:
-        tables |= {key: _array(path, key, raw[key], 2) for key in _TABLES}
-    for key, array in tables.items():
-        if not np.all(np.isfinite(array)):
-            where = ", ".join(str(int(i)) for i in np.argwhere(~np.isfinite(array))[0])
-            raise BenchError(f"{path}: {key}[{where}]", "not a finite number", "a finite number", _ACTION)
-    _check_shapes(path, raw["blind_spacing"], tables)
-    _check_ranges(path, raw, tables)
-    begins = _check_begins(path, raw["begins"], tables)
-    if "followed" in raw:
-        require_fit(raw["followed"], FollowedGolfer, f"{path}: followed", _ACTION)
-    air, air_supply = _address_air(path, raw.get("address"))
+    loose = {key: raw.pop(key, None) for key in _TABLES_OF_NUMBERS}
+    file = _checked_file(path, raw)
+    for key, kind in _TABLES_OF_NUMBERS.items():
+        require_fit(loose[key], kind, f"{path}: {key}", _ACTION)
+    beside, address = file.schema == SCHEMA, cast("_Address | None", file.address)
+    tables = _read_table(path, file) if beside else {key: np.array(getattr(file, key)) for key in _TABLES}
+    _check_tables(path, file, tables)
     return Profile(
-        name=raw["name"],
-        text=raw["text"],
-        golfer=raw["golfer"],
-        club=raw["club"],
-        period=raw["period_s"],
-        begins=begins,
+        name=file.name,
+        text=file.text,
+        golfer=file.golfer,
+        club=file.club,
+        period=file.period_s,
+        begins=file.begins,
         angle=tables["angle_rad"],
         velocity=tables["velocity_rad_per_s"],
         valve=tables["valve"],
-        blind_spacing=raw["blind_spacing"],
+        blind_spacing=file.blind_spacing,
         blind_brake=tables["blind_brake"],
-        ball=(float(tables["ball_m"][0]), float(tables["ball_m"][1])),
-        impact_time=raw["impact_time_s"],
-        delivery={k: float(v) for k, v in raw["delivery"].items()},
-        limits={k: float(v) for k, v in raw["limits"].items()},
-        air=air,
-        air_supply=air_supply,
-        followed=raw.get("followed"),
+        ball=file.ball_m,
+        impact_time=file.impact_time_s,
+        delivery={k: float(v) for k, v in loose["delivery"].items()},
+        limits={k: float(v) for k, v in loose["limits"].items()},
+        air=address.chamber_pressures_pa if address else (),
+        air_supply=address.supply_pressure_pa if address else 0.0,
+        followed=loose["followed"],
     )
 
 
-def _check_keys(path: Path, raw: dict[str, Any], *, beside: bool) -> None:
-    scalars = _SCALARS | (_BESIDE if beside else {})
-    known = {*scalars, *_LISTS, *(() if beside else _TABLES), *_GROUPS}
-    allowed = known | {"address", "followed"}
-    for key in sorted(set(raw) - allowed):
-        action = did_you_mean(key, allowed, _ACTION)
-        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(allowed))}", action)
-    for key in sorted(known - set(raw)):
-        raise BenchError(f"{path}: {key}", "missing", f"the key {key}", _ACTION)
-    for key, (kind, text) in scalars.items():
-        if type(raw[key]) is not kind or (kind is float and not np.isfinite(raw[key])):
-            raise BenchError(f"{path}: {key}", format_value(raw[key]), text, _ACTION)
-    if raw["blind_spacing"] < 1:
-        raise BenchError(f"{path}: blind_spacing", str(raw["blind_spacing"]), "at least 1 sample", _ACTION)
-    if raw["schema"] not in {SCHEMA, SCHEMA_WITH_TABLES}:
-        wanted = f"{SCHEMA!r}, or {SCHEMA_WITH_TABLES!r} with tables in the file"
-        raise BenchError(f"{path}: schema", repr(raw["schema"]), wanted, _ACTION)
-    for key in _GROUPS:
-        values: list[Any] = list(raw[key].values()) if isinstance(raw[key], dict) else [None]
-        if not all(type(value) in {int, float} and abs(value) <= MAX_FINITE for value in values):
-            raise BenchError(f"{path}: {key}", repr(raw[key]), "a table of finite numbers", _ACTION)
+def _checked_file(path: Path, raw: dict[str, Any]) -> _ProfileFile:
+    """Return the checked keys of the file at `path`; raises BenchError for the first mistake."""
+    faults: list[BenchError] = []
+    builder = Builder(as_tree(raw, path, faults), path, _ACTION, _ACTION, faults=faults)
+    file: _ProfileFile = builder.build(_ProfileFile)
+    for fault in faults:
+        if fault.location.startswith(f"{path}: address"):
+            fault.action = _ACTION_ADDRESS
+        raise fault
+    keys = _BESIDE if file.schema == SCHEMA else _TABLES
+    for key in (*_BESIDE, *_TABLES):
+        if (key in raw) != (key in keys):
+            found, expected = "a key" if key in raw else "nothing", f"{', '.join(keys)} in {file.schema}"
+            raise BenchError(f"{path}: {key}", found, expected, _ACTION)
+    return file
 
 
-def _address_air(path: Path, table: Any) -> tuple[tuple[float, ...], float]:
-    """Return the planned pressures of the chambers and their supply's (Pa); empty and 0 without a `table`."""
-    if table is None:
-        return (), 0.0
-    if not isinstance(table, dict) or table.keys() != _ADDRESS.keys():
-        expected = f"a table of {' and '.join(_ADDRESS)}"
-        raise BenchError(f"{path}: address", format_value(table), expected, _ACTION_ADDRESS)
-    low, high = _PRESSURES
-    for key, number in _ADDRESS.items():
-        listed = isinstance(table[key], list)
-        values = table[key] if listed else [table[key]]
-        good = len(values) == number and _only_numbers(values) and listed == (number > 1)
-        if not good or not all(low <= value <= high for value in values):
-            expected = f"{number} pressure{'s' * (number > 1)} from {low:g} to {high:g} Pa absolute"
-            raise BenchError(f"{path}: address.{key}", format_value(table[key]), expected, _ACTION_ADDRESS)
-    supply = float(table["supply_pressure_pa"])
-    air = tuple(map(float, table["chamber_pressures_pa"]))
-    if max(air) >= supply:
-        expected = f"less than the supply's {supply:g} Pa: the limit of a dithered spool"
-        raise BenchError(f"{path}: address.chamber_pressures_pa", f"{max(air):g}", expected, _ACTION_ADDRESS)
-    return air, supply
-
-
-def _array(path: Path, key: str, value: Any, dimensions: int) -> Array:
-    try:
-        if not _only_numbers(value):
-            raise TypeError
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        found = "rows of different length or not numbers"
-        raise BenchError(f"{path}: {key}", found, "a table of numbers", _ACTION) from None
-    if array.ndim != dimensions:
-        raise BenchError(f"{path}: {key}", f"{array.ndim} dimensions", f"{dimensions}", _ACTION)
-    return array
-
-
-def _only_numbers(value: Any) -> bool:
-    """Return whether `value` is a number or (nested) lists of numbers; booleans are not numbers."""
-    return all(map(_only_numbers, value)) if isinstance(value, list) else type(value) in {int, float}
-
-
-def _read_table(path: Path, raw: dict[str, Any]) -> dict[str, Array]:
+def _read_table(path: Path, file: _ProfileFile) -> dict[str, Array]:
     """Return the tables of the Parquet file that the profile at `path` names, by their keys in TOML."""
-    table = path.parent / raw["table"]
+    table = path.parent / file.table
     try:
         content = table.read_bytes()
     except FileNotFoundError:
@@ -409,58 +387,38 @@ def _read_table(path: Path, raw: dict[str, Any]) -> dict[str, Array]:
         found = error.strerror or str(error)
         raise BenchError(str(table), found, "a file that can be read", _ACTION_TABLE) from None
     digest = sha256(content).hexdigest()
-    if digest != raw["table_sha256"]:
-        expected = f"{format_value(raw['table_sha256'])}, as {path} says"
+    if digest != file.table_sha256:
+        expected = f"{format_value(file.table_sha256)}, as {path} says"
         raise BenchError(str(table), f"SHA-256 {digest}", expected, _ACTION_TABLE)
     try:
-        tables = decode_table(content, raw["blind_spacing"])
+        tables = decode_table(content, file.blind_spacing)
     except ValueError as error:
         raise BenchError(str(table), str(error), "the table of a profile", _ACTION_TABLE) from None
     return {key: tables[name] for key, name in _TABLES.items()}
 
 
-def _check_shapes(path: Path, blind_spacing: int, tables: dict[str, Array]) -> None:
-    n = len(tables["angle_rad"])
-    shapes = {
-        "ball_m": (2,),
-        "begins": (len(PHASES),),
-        "angle_rad": (n, 3),
-        "velocity_rad_per_s": (n, 3),
-        "valve": (n, 3),
-        "blind_brake": (max(n - 1, 0) // blind_spacing + 1, 6),
-    }
-    for key, shape in shapes.items():
+def _check_tables(path: Path, file: _ProfileFile, tables: dict[str, Array]) -> None:
+    """Raise BenchError unless the tables fit together and all values lie in their ranges."""
+    n, begins = len(tables["angle_rad"]), file.begins
+    rows = dict.fromkeys(_TABLES, (n, 3)) | {"blind_brake": (max(n - 1, 0) // file.blind_spacing + 1, 6)}
+    for key, shape in rows.items():
         if tables[key].shape != shape:
             raise BenchError(f"{path}: {key}", f"shape {tables[key].shape}", f"shape {shape}", _ACTION)
-
-
-def _check_ranges(path: Path, raw: dict[str, Any], tables: dict[str, Array]) -> None:
-    period, swing = raw["period_s"], len(tables["angle_rad"]) * raw["period_s"]
     ranges: tuple[tuple[str, Any, float, float, str], ...] = (
-        ("period_s", period, 1e-4, 0.02, "0.0001 to 0.02 s"),
         ("angle_rad", tables["angle_rad"], -10.0, 10.0, "-10 to 10 rad"),
         ("velocity_rad_per_s", tables["velocity_rad_per_s"], -100.0, 100.0, "-100 to 100 rad/s"),
         ("valve", tables["valve"], -1.0, 1.0, "openings -1 to 1"),
         ("blind_brake", tables["blind_brake"][:, :3], -1.0, 1.0, "openings -1 to 1"),
         ("blind_brake", tables["blind_brake"][:, 3:], 0.0, 2.0, "durations 0 to 2 s"),
-        ("impact_time_s", raw["impact_time_s"], 0.0, swing, "a time within the swing"),
-        ("ball_m", tables["ball_m"], -3.0, 3.0, "-3 to 3 m"),
+        ("impact_time_s", file.impact_time_s, 0.0, n * file.period_s, "a time within the swing"),
     )
     for key, given, low, high, expected in ranges:
         values = np.atleast_1d(given)
         if np.any(values < low) or np.any(values > high):
             worst = values.flat[int(np.argmax(np.maximum(low - values, values - high)))]
             raise BenchError(f"{path}: {key}", f"{worst:g}", expected, _ACTION)
-
-
-def _check_begins(path: Path, given: Any, tables: dict[str, Array]) -> tuple[int, ...]:
-    n = len(tables["angle_rad"])
-    if np.any(tables["begins"] % 1):
-        raise BenchError(f"{path}: begins", repr(given), "whole numbers of samples", _ACTION)
-    begins = tuple(int(v) for v in tables["begins"])
     if n < 2 or begins[0] != 0 or list(begins) != sorted(begins) or begins[-1] >= n:
         raise BenchError(f"{path}: begins", repr(begins), f"rising samples from 0, all below {n}", _ACTION)
-    return begins
 
 
 def as_written(profile: Profile) -> Profile:

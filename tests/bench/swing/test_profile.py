@@ -174,6 +174,9 @@ def test_load_profile_missing_or_foreign_table_is_refused(path: Path) -> None:
     table.unlink()
     with pytest.raises(BenchError, match=r"short\.parquet: found no such file, expected the table of"):
         load_profile(path)
+    path.write_text(text.replace("begins =", "valve = [[0.0, 0.0, 0.0]]\nbegins ="))
+    with pytest.raises(BenchError, match=r"valve: found a key, expected table, table_sha256 in"):
+        load_profile(path)
     path.write_text(text.replace('table = "short.parquet"', 'table = "."'))
     with pytest.raises(BenchError, match="Is a directory"):
         load_profile(path)
@@ -226,25 +229,26 @@ GOOD_ADDRESS = {"supply_pressure_pa": "8e5", "chamber_pressures_pa": f"{list(AIR
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
-        ("", "1.0", "chamber_pressures_pa"),
-        ("supply_pressure_pa", None, "chamber_pressures_pa"),
-        *(("supply_pressure_pa", bad, "1 pressure from") for bad in ('"8 bar"', "nan", "[8e5]", "8.0")),
-        ("chamber_pressures_pa", f"{[*AIR[:5], 8.1e5]}", "less than the supply's"),
-        *(("chamber_pressures_pa", bad, "6 pressures from") for bad in ("5.9e5", "[5.9e5]")),
-        *(("chamber_pressures_pa", f"[{'5e5, ' * 5}{bad}]", "6 pressures") for bad in ("inf", "true")),
+        ("other", "1.0", "chamber_pressures_pa"),
+        ("supply_pressure_pa", None, "a finite number, 100000 to 2e6 Pa absolute"),
+        *(("supply_pressure_pa", bad, "2e6 Pa absolute") for bad in ('"8 bar"', "nan", "[8e5]", "8.0")),
+        ("", f"{[*AIR[:5], 8.1e5]}", "less than the supply's"),
+        *(("chamber_pressures_pa", bad, "6 values in brackets") for bad in ("5.9e5", "[5.9e5]")),
+        *(("chamber_pressures_pa[5]", f"[{'5e5, ' * 5}{bad}]", "2e6 Pa absolute") for bad in ("inf", "true")),
     ],
 )
 def test_load_profile_invalid_planned_pressures_are_refused(
     key: str, value: str | None, expected: str, one_file: Path
 ) -> None:
-    table = {name: text for name, text in (GOOD_ADDRESS | {key or "other": value}).items() if text}
+    changed = key.partition("[")[0] or "chamber_pressures_pa"
+    table = {name: text for name, text in (GOOD_ADDRESS | {changed: value}).items() if text}
     lines = "\n".join(f"{name} = {text}" for name, text in table.items())
     one_file.write_text(f"{one_file.read_text()}\n[address]\n{lines}\n")
     with pytest.raises(BenchError) as raised:
         load_profile(one_file)
-    location = f"address.{key}" if key and value else "address"
-    assert raised.value.location == f"{one_file}: {location}"
+    assert raised.value.location == f"{one_file}: address.{key}".rstrip(".")
     assert expected in raised.value.expected
+    assert "profile address" in raised.value.action
 
 
 ROW = r"angle_rad = \[\n  \[[^\]]*\]"
@@ -254,31 +258,32 @@ ROW = r"angle_rad = \[\n  \[[^\]]*\]"
     ("pattern", "text", "location", "found", "expected"),
     [
         ('golfer = "nobody"', 'golfr = "nobody"', "golfr", "an unknown key", "golfer"),
-        ('golfer = "nobody"\n', "", "golfer", "missing", "the key golfer"),
+        ('golfer = "nobody"\n', "", "golfer", "nothing", "a text in quotes"),
         ('golfer = "nobody"', "golfer = 3", "golfer", "3", "a text"),
-        ('schema = "[^"]*"', 'schema = "other/7"', "schema", "'other/7'", "golfbench-profile/1"),
-        ("period_s = 0.001", 'period_s = "fast"', "period_s", '"fast"', "seconds"),
+        ('schema = "[^"]*"', 'schema = "other/7"', "schema", '"other/7"', "golfbench-profile/1"),
+        ("period_s = 0.001", 'period_s = "fast"', "period_s", '"fast"', "0.0001 to 0.02 s"),
         ("period_s = 0.001", "period_s = nan", "period_s", "nan", "finite"),
         ("period_s = 0.001", "period_s = 1.0", "period_s", "1", "0.0001 to 0.02 s"),
         ("impact_time_s = 0.025", "impact_time_s = nan", "impact_time_s", "nan", "finite"),
         ("impact_time_s = 0.025", "impact_time_s = 7.0", "impact_time_s", "7", "within the swing"),
+        ('schema = "[^"]*"', 'schema = "golfbench-profile/2"', "table", "nothing", "table, table_sha256 in"),
         ("blind_spacing = 10", "blind_spacing = 0", "blind_spacing", "0", "at least 1"),
         ("blind_spacing = 10", "blind_spacing = true", "blind_spacing", "true", "whole number"),
         ("blind_spacing = 10", "blind_spacing = 20", "blind_brake", "shape (5, 6)", "shape (3, 6)"),
-        (ROW, "angle_rad = [\n  [1.0, 2.0]", "angle_rad", "different length", "numbers"),
-        (ROW, 'angle_rad = [\n  ["1", "2", "3"]', "angle_rad", "not numbers", "numbers"),
-        (ROW, "angle_rad = [\n  [true, true, true]", "angle_rad", "not numbers", "numbers"),
-        (ROW, "angle_rad = [\n  [nan, 2.0, 3.0]", "angle_rad[0, 0]", "not a finite", "a finite number"),
-        (ROW, "angle_rad = [\n  [1.0, inf, 3.0]", "angle_rad[0, 1]", "not a finite", "a finite number"),
+        (ROW, "angle_rad = [\n  [1.0, 2.0]", "angle_rad[0]", "[1.0, 2.0]", "3 values"),
+        (ROW, 'angle_rad = [\n  ["1", "2", "3"]', "angle_rad[0][0]", '"1"', "number"),
+        (ROW, "angle_rad = [\n  [true, true, true]", "angle_rad[0][0]", "true", "number"),
+        (ROW, "angle_rad = [\n  [nan, 2.0, 3.0]", "angle_rad[0][0]", "nan", "a finite number"),
+        (ROW, "angle_rad = [\n  [1.0, inf, 3.0]", "angle_rad[0][1]", "inf", "a finite number"),
         (ROW, "angle_rad = [\n  [1.0, 200.0, 3.0]", "angle_rad", "200", "-10 to 10 rad"),
         (ROW + ",", "angle_rad = [", "velocity_rad_per_s", "shape (50, 3)", "shape (49, 3)"),
         (r"valve = \[\n  \[0\.00000", "valve = [\n  [1.5", "valve", "1.5", "openings -1 to 1"),
         (r"begins = \[0, 1", "begins = [0, 60", "begins", "(0, 60", "rising samples"),
-        (r"begins = \[0, 1", "begins = [0, 1.5", "begins", "1.5", "whole numbers"),
-        (r"begins = \[0, 1,", "begins = [0,", "begins", "shape (6,)", "shape (7,)"),
-        (r"ball_m = \[", "ball_m = [9", "ball_m", "90.25", "-3 to 3 m"),
-        ("head_speed_mps = 0.7", 'head_speed_mps = "fast"', "delivery", "fast", "finite numbers"),
-        ("head_speed_mps = 0.7", "head_speed_mps = inf", "delivery", "inf", "finite numbers"),
+        (r"begins = \[0, 1", "begins = [0, 1.5", "begins[1]", "1.5", "a whole number"),
+        (r"begins = \[0, 1,", "begins = [0,", "begins", "[0, 10", "7 values"),
+        (r"ball_m = \[", "ball_m = [9", "ball_m[0]", "90.25", "-3 to 3 m"),
+        ("head_speed_mps = 0.7", 'head_speed_mps = "fast"', "delivery.head_speed_mps", "fast", "a number"),
+        ("head_speed_mps = 0.7", "head_speed_mps = inf", "delivery.head_speed_mps", "Infinity", "a number"),
         ('follow = "club"', 'follow = "hands"', "followed.follow", "hands", "body, club"),
         (r"deviation = \[0.045, ", "deviation = [", "followed.deviation", "[0.04, ", "an array"),
         ("head_speed_mps = 43.8", "head_speed_mps = nan", "followed.head_speed_mps", "NaN", "a number"),
