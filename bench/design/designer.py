@@ -195,23 +195,6 @@ def _sketch(
     return Profile("sketch", "", "", "", period, begins, *tables, ball, n * period)
 
 
-def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> Backswing:
-    """Let the controller take the plant to the top; the result is the nominal motion."""
-    parameters = bench.plant
-    address, top = address_pose(parameters, demand), top_pose(parameters, demand)
-    pid = pid_record(bench.control, bench.estimator, parameters)
-    sketch = _sketch(demand, parameters, address, top, pid)
-    try:
-        sketch = with_planned_air(sketch, parameters)
-    except ValueError as error:
-        raise DesignFailed(f"at the address: {error}") from None
-    n = round((demand.backswing_time + demand.top_time) / parameters.tick)
-    try:
-        return learned_backswing(replace(bench, profile=sketch), pid, n, 1.0 - demand.margin)
-    except LoopFailed as failure:
-        raise DesignFailed(f"on the way to the top: {failure}") from None
-
-
 def _first_guess(parameters: PlantParameters, state: Array, demand: SwingDemand) -> tuple[float, Array]:
     """Return time and states of a downswing that speeds up evenly from the top to the ball."""
     site, time = parameters.site, sum(demand.downswing_time) / 2
@@ -280,121 +263,11 @@ def _concessions(parameters: PlantParameters, demand: SwingDemand) -> Concession
     return Concessions(_GIVES_WAY.time * longest, rise, _GIVES_WAY.speed)
 
 
-def _openings(plan: DownswingPlan, shooter: Shooter, pid: NDArray[Any], highest: float) -> Array:
-    """Return valve commands per tick, until after the ball, with which the plant stays near the plan.
-
-    They are the planned commands, advanced by the spool lag, plus the feedback of the control loop.
-    """
-    valve, period = shooter.plant.parameters.shoulder.valve, shooter.plant.parameters.tick
-    lag = 2 * valve.damping_ratio / valve.natural_frequency
-    at = np.arange(round(plan.time[-1] / period) + 40) * period
-
-    def rows(first: int, ahead: float = 0.0) -> Array:
-        return np.column_stack([np.interp(at + ahead, plan.time, plan.state[:, first + i]) for i in range(3)])
-
-    # Past the ball the plan ends, the motion does not.
-    angle = rows(0) + np.maximum(at - plan.time[-1], 0.0)[:, None] * plan.state[-1, 3:6]
-    valve_command = rows(13, lag) + shooter.plant.parameters.valve_centres
-    return shooter.follow(valve_command, angle, rows(3), gains_along(pid, angle), highest)
-
-
 def _delivered(state: NDArray[Any], parameters: PlantParameters) -> Array:
     """Return the arrival of the head in the plant `state` after a struck ball, as `arrival_errors` has it."""
     head, site, impact = state["impact_head"][0], parameters.site, build_plant(parameters).impact
     error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, impact)
     return np.array([error, *head[2:6]])
-
-
-def _loads(trial: ShootingTrial, parameters: PlantParameters, demand: SwingDemand) -> Array:
-    """Return the excess energies of the upper absorbers of right arm and wrist over their limits (J)."""
-    ratings = np.array([a.stop.energy for a in parameters.actuators])
-    worst = np.maximum(trial.missed_energy, trial.silent_energy.max(axis=0))[:, 1]
-    struck = trial.struck_energy[:, 1] - demand.struck_share * ratings
-    return np.asarray(np.maximum(worst - demand.missed_share * ratings, struck)[1:])
-
-
-def _shooter(bench: SimulatedBench, begun: Backswing) -> Shooter:
-    top = begun.rehearsal.bench
-    return Shooter(build_plant(bench.plant), top.plant_state, top.command, bench.control, _SILENCES)
-
-
-def _initial_guess(
-    parameters: PlantParameters,
-    problem: DownswingProblem,
-    demand: SwingDemand,
-    start: Profile | None,
-    progress: Progress,
-) -> tuple[float, Array]:
-    """Return time and states of a downswing to start from: that of `start`, or the fastest one."""
-    if start is not None:
-        return _guess_from(start, problem.start)
-    time, guess = _first_guess(parameters, problem.start, demand)
-    # The fastest swing is found most reliably; a demanded speed is then found from it.
-    progress("a first swing", 0.0)
-    fastest = replace(problem, demand=replace(demand, head_speed=None, follow=None))
-    plan = solve_downswing(parameters, fastest, time, guess, _INTERVALS)
-    progress("a first swing", 1.0)
-    return float(plan.time[-1]), plan.state
-
-
-def design_downswing(
-    bench: SimulatedBench, demand: SwingDemand, start: Profile | None, begun: Backswing, progress: Progress
-) -> Downswing:
-    """Return a downswing whose valve commands meet `demand` on the plant.
-
-    Raises:
-        DesignFailed: no plan that the plant can follow within the ratings of its absorbers.
-    """
-    parameters, shooter = bench.plant, _shooter(bench, begun)
-    problem = _problem(parameters, demand, bench.envelope, _model_state(begun))
-    time, guess = _initial_guess(parameters, problem, demand, start, progress)
-    best: tuple[tuple[float, float], Downswing] | None = None
-    tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
-    brought: Array | None = None
-    reason = ""
-    for count in range(_ROUNDS):
-        progress("downswing", count / _ROUNDS)
-        plan = solve_downswing(parameters, problem, time, guess, _INTERVALS)
-        if not plan.solved:
-            if brought is None:
-                reason = reason or _out_of_reach(parameters, problem, (time, guess), plan.status)
-                break
-            reason = reason or f"no downswing within the limits ({_said(plan.status)})"
-            # The limits were too tight: half way back to the last possible ones.
-            problem = _with_cushions(problem, (brought + np.array(problem.cushions)) / 2)
-            continue
-        time, guess = float(plan.time[-1]), plan.state
-        head = head_motion(parameters.robot.record[0], *plan.state[-1, :6])
-        wanted = np.array([demand.strike, *head[2:6]])  # as planned, at the demanded strike point
-        try:
-            pid = pid_record(bench.control, bench.estimator, parameters)
-            played = _openings(plan, shooter, pid, 1.0 - demand.margin)
-            opening = refine(shooter, played, wanted, 1.0 - demand.margin)
-        except NotReached as missed:
-            reason = str(missed)
-            break
-        trial = shooter.shoot(opening)
-        over = _loads(trial, parameters, demand)
-        short = 0.0 if demand.head_speed is None else demand.head_speed - plan.speed
-        worth = max(float(over.max()), 0.0), short
-        gained = inf if best is None or best[0][0] > 0.0 else best[0][1] - short
-        if best is None or worth < best[0]:
-            best = worth, Downswing(opening, wanted, plan, trial)
-        if over.max() <= 0.0 and min(short, gained) < _SHORT:
-            break
-        reason = (
-            f"the absorber energies of right arm and wrist would be {over[0]:+.1f} and {over[1]:+.1f} J "
-            "above their limits when the ball is missed"
-        )
-        brought = np.minimum(problem.cushions, plan.carried)
-        tried = tried.learned(brought, over)
-        problem = _with_cushions(problem, tried.next(brought, over))
-    progress("downswing", 1.0)
-    rated = min(parameters.right_arm.stop.energy, parameters.wrist.stop.energy)
-    survived = (1.0 - demand.missed_share) * rated
-    if best is None or best[0][0] > survived:
-        raise DesignFailed(reason or "no downswing found")
-    return best[1]
 
 
 def _said(status: str) -> str:
@@ -455,14 +328,222 @@ def _with_cushions(problem: DownswingProblem, energies: Array) -> DownswingProbl
     return replace(problem, cushions=(max(float(energies[0]), 1.0), max(float(energies[1]), 1.0)))
 
 
+class SwingDesigner:
+    """Steps of the design of one swing, from the state of the plant at the top of its backswing."""
+
+    def __init__(
+        self, bench: SimulatedBench, demand: SwingDemand, progress: Progress = lambda what, part: None
+    ) -> None:
+        """Take the plant of `bench` to the top; DesignFailed if it does not come there."""
+        self.bench, self.demand, self.progress = bench, demand, progress
+        self.plant, self.highest = bench.plant, 1.0 - demand.margin
+        self.pid = pid_record(bench.control, bench.estimator, bench.plant)
+        self.begun = self._swing_up()
+        top = self.begun.rehearsal.bench
+        self.shooter = Shooter(
+            build_plant(bench.plant), top.plant_state, top.command, bench.control, _SILENCES
+        )
+        self.problem = _problem(bench.plant, demand, bench.envelope, _model_state(self.begun))
+
+    def _swing_up(self) -> Backswing:
+        """Let the controller take the plant to the top; the result is the nominal motion."""
+        plant, demand = self.plant, self.demand
+        sketch = _sketch(demand, plant, address_pose(plant, demand), top_pose(plant, demand), self.pid)
+        try:
+            sketch = with_planned_air(sketch, plant)
+        except ValueError as error:
+            raise DesignFailed(f"at the address: {error}") from None
+        n = round((demand.backswing_time + demand.top_time) / plant.tick)
+        try:
+            return learned_backswing(replace(self.bench, profile=sketch), self.pid, n, self.highest)
+        except LoopFailed as failure:
+            raise DesignFailed(f"on the way to the top: {failure}") from None
+
+    def _openings(self, plan: DownswingPlan) -> Array:
+        """Return valve commands per tick, until after the ball, with which the plant stays near the plan.
+
+        They are the planned commands, advanced by the spool lag, plus the feedback of the control loop.
+        """
+        valve, period = self.plant.shoulder.valve, self.plant.tick
+        lag = 2 * valve.damping_ratio / valve.natural_frequency
+        at = np.arange(round(plan.time[-1] / period) + 40) * period
+
+        def rows(first: int, ahead: float = 0.0) -> Array:
+            return np.column_stack(
+                [np.interp(at + ahead, plan.time, plan.state[:, first + i]) for i in range(3)]
+            )
+
+        # Past the ball the plan ends, the motion does not.
+        angle = rows(0) + np.maximum(at - plan.time[-1], 0.0)[:, None] * plan.state[-1, 3:6]
+        valve_command = rows(13, lag) + self.plant.valve_centres
+        return self.shooter.follow(valve_command, angle, rows(3), gains_along(self.pid, angle), self.highest)
+
+    def _loads(self, trial: ShootingTrial) -> Array:
+        """Return the excess energies of the upper absorbers of right arm and wrist over their limits (J)."""
+        ratings = np.array([a.stop.energy for a in self.plant.actuators])
+        worst = np.maximum(trial.missed_energy, trial.silent_energy.max(axis=0))[:, 1]
+        struck = trial.struck_energy[:, 1] - self.demand.struck_share * ratings
+        return np.asarray(np.maximum(worst - self.demand.missed_share * ratings, struck)[1:])
+
+    def _initial_guess(self, problem: DownswingProblem, start: Profile | None) -> tuple[float, Array]:
+        """Return time and states of a downswing to start from: that of `start`, or the fastest one."""
+        if start is not None:
+            return _guess_from(start, problem.start)
+        time, guess = _first_guess(self.plant, problem.start, self.demand)
+        # The fastest swing is found most reliably; a demanded speed is then found from it.
+        self.progress("a first swing", 0.0)
+        fastest = replace(problem, demand=replace(self.demand, head_speed=None, follow=None))
+        plan = solve_downswing(self.plant, fastest, time, guess, _INTERVALS)
+        self.progress("a first swing", 1.0)
+        return float(plan.time[-1]), plan.state
+
+    def downswing(self, start: Profile | None) -> Downswing:
+        """Return a downswing whose valve commands meet the demand on the plant; begins with `start`.
+
+        Raises:
+            DesignFailed: no plan that the plant can follow within the ratings of its absorbers.
+        """
+        plant, demand, shooter, problem = self.plant, self.demand, self.shooter, self.problem
+        time, guess = self._initial_guess(problem, start)
+        best: tuple[tuple[float, float], Downswing] | None = None
+        tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
+        brought: Array | None = None
+        reason = ""
+        for count in range(_ROUNDS):
+            self.progress("downswing", count / _ROUNDS)
+            plan = solve_downswing(plant, problem, time, guess, _INTERVALS)
+            if not plan.solved:
+                if brought is None:
+                    reason = reason or _out_of_reach(plant, problem, (time, guess), plan.status)
+                    break
+                reason = reason or f"no downswing within the limits ({_said(plan.status)})"
+                # The limits were too tight: half way back to the last possible ones.
+                problem = _with_cushions(problem, (brought + np.array(problem.cushions)) / 2)
+                continue
+            time, guess = float(plan.time[-1]), plan.state
+            head = head_motion(plant.robot.record[0], *plan.state[-1, :6])
+            wanted = np.array([demand.strike, *head[2:6]])  # as planned, at the demanded strike point
+            try:
+                opening = refine(shooter, self._openings(plan), wanted, self.highest)
+            except NotReached as missed:
+                reason = str(missed)
+                break
+            trial = shooter.shoot(opening)
+            over = self._loads(trial)
+            short = 0.0 if demand.head_speed is None else demand.head_speed - plan.speed
+            worth = max(float(over.max()), 0.0), short
+            gained = inf if best is None or best[0][0] > 0.0 else best[0][1] - short
+            if best is None or worth < best[0]:
+                best = worth, Downswing(opening, wanted, plan, trial)
+            if over.max() <= 0.0 and min(short, gained) < _SHORT:
+                break
+            reason = (
+                f"the absorber energies of right arm and wrist would be {over[0]:+.1f} and {over[1]:+.1f} J "
+                "above their limits when the ball is missed"
+            )
+            brought = np.minimum(problem.cushions, plan.carried)
+            tried = tried.learned(brought, over)
+            problem = _with_cushions(problem, tried.next(brought, over))
+        self.progress("downswing", 1.0)
+        rated = min(plant.right_arm.stop.energy, plant.wrist.stop.energy)
+        survived = (1.0 - demand.missed_share) * rated
+        if best is None or best[0][0] > survived:
+            raise DesignFailed(reason or "no downswing found")
+        return best[1]
+
+    def _assemble(self, downswing: Downswing) -> Profile:
+        """Return the profile with the robot left where it is at the ball for the follow-through."""
+        up, top, trial, period = self.begun.profile, len(self.begun.cycles), downswing.trial, self.plant.tick
+        demand = self.demand
+        contact, past = trial.contact, round(demand.follow_time / period) + AFTER_CONTACT
+        angle = np.vstack([up.angle[:top], trial.angle[:contact], np.tile(trial.angle[contact], (past, 1))])
+        window = top + contact - BEFORE_CONTACT
+        committed, end = window - round(demand.no_return_time / period), top + contact + AFTER_CONTACT
+        still = np.zeros((past, 3))
+        return replace(
+            up,
+            name=self.bench.profile.name,
+            golfer=self.bench.profile.golfer,
+            club=self.plant.robot.club.name,
+            begins=(*up.begins[:3], top, committed, window, end),
+            angle=angle,
+            # At rest in the first row: the tick before the downswing must not depend on it.
+            velocity=np.vstack([up.velocity[:top], np.zeros(3), trial.speed[1:contact], still]),
+            valve=np.vstack([up.valve[:top], downswing.opening[:contact], still]),
+            blind_brake=np.zeros(((len(angle) - 1) // SPACING + 1, 6)),
+            impact_time=(top + contact) * period,
+        )
+
+    def _with_figures(
+        self, profile: Profile, state: NDArray[Any], delivered: Array, trial: ShootingTrial
+    ) -> Profile:
+        """Return `profile` with the delivery in closed loop, `delivered`, and the limits it was made for."""
+        error, lean, *velocity = delivered[:4]
+        speed, slope, lie = float(np.hypot(*velocity)), atan2(velocity[1], velocity[0]), self.plant.robot.lie
+        return replace(
+            profile,
+            text=f"{speed:.1f} m/s at the ball in closed loop, designed for this plant",
+            delivery={
+                "head_speed_mps": speed,
+                "attack_angle_deg": degrees(asin(sin(slope) * sin(lie))),
+                "path_slope_deg": degrees(slope),
+                "shaft_lean_deg": float(np.degrees(lean - SHAFT_DOWN)),
+                "in_plane_error_mm": 1e3 * float(error),
+            },
+            limits={
+                "supply_pressure_pa": self.plant.supply.pressure,
+                "greatest_opening": self.highest,
+                "stop_share": float(stop_shares(state["stop_energy"][0], self.plant).max()),
+                "stop_share_missed": float(stop_shares(trial.missed_energy, self.plant).max()),
+                "stop_share_silent": float(stop_shares(trial.silent_energy, self.plant).max()),
+                "peak_pressure_pa": float(state["peak_pressure"].max()),
+            },
+        )
+
+    def into_the_loop(self, downswing: Downswing) -> Profile:
+        """Return the profile whose swing in closed loop delivers as `downswing` should.
+
+        The aim is corrected by the loop's effect, until the head passes the ball as wanted. The effect is the
+        delivery in closed loop less that of the same valve commands in open loop. So the correction's
+        remaining error cancels.
+
+        Raises:
+            LoopFailed: the swing does not run, or misses the ball.
+        """
+        bench, shooter, best = self.bench, self.shooter, None
+        for count in range(_AIMED):
+            self.progress("closed loop", count / _AIMED)
+            profile = self._assemble(downswing)
+            opening = downswing.opening[: downswing.trial.contact + AFTER_CONTACT]
+            profile = imprint(replace(bench, profile=profile), opening)
+            profile = as_written(with_follow_through(replace(bench, profile=profile))[0])
+            _, state = with_follow_through(replace(bench, profile=profile))
+            delivered = _delivered(state, self.plant)
+            off = float(np.abs((delivered - downswing.wanted) / UNITS)[:4].max())
+            if best is None or off < best[0]:
+                best = off, self._with_figures(profile, state, delivered, downswing.trial)
+            if off < 1.0:
+                break
+            alone = arrival_errors(shooter.arrive(downswing.opening), downswing.wanted)
+            aim = downswing.wanted - (delivered - downswing.wanted - alone)
+            try:
+                opening = refine(shooter, downswing.opening, aim, self.highest)
+            except NotReached:
+                break
+            downswing = downswing._replace(opening=opening, trial=shooter.shoot(opening))
+        self.progress("closed loop", 1.0)
+        if best is None or best[0] > NEAR:
+            raise LoopFailed("in closed loop the head does not pass the ball as demanded")
+        return best[1]
+
+
 def plan_at_speed(configuration: Configuration, demand: SwingDemand, start: Profile | None) -> DownswingPlan:
     """Return the plan of a downswing that meets `demand` on the plant; without a speed the fastest one.
 
     Raises:
         DesignFailed: no plan that the plant can follow within its cushions.
     """
-    bench = _bench(configuration)
-    return design_downswing(bench, demand, start, _swing_up(bench, demand), lambda what, part: None).plan
+    return SwingDesigner(_bench(configuration), demand).downswing(start).plan
 
 
 def fastest_plan(configuration: Configuration, demand: SwingDemand) -> DownswingPlan:
@@ -472,11 +553,9 @@ def fastest_plan(configuration: Configuration, demand: SwingDemand) -> Downswing
     without the package casadi, DesignFailed if the plant does not reach the top.
     """
     load_casadi()
-    bench, demand = _bench(configuration), replace(demand, head_speed=None)
-    begun = _swing_up(bench, demand)
-    problem = _problem(bench.plant, demand, bench.envelope, _model_state(begun))
-    time, guess = _first_guess(bench.plant, problem.start, demand)
-    return solve_downswing(bench.plant, problem, time, guess, _INTERVALS)
+    design = SwingDesigner(_bench(configuration), replace(demand, head_speed=None))
+    plant, problem = design.plant, design.problem
+    return solve_downswing(plant, problem, *_first_guess(plant, problem.start, design.demand), _INTERVALS)
 
 
 def _model_state(begun: Backswing) -> Array:
@@ -486,61 +565,6 @@ def _model_state(begun: Backswing) -> Array:
     state[6:12] = before["pressure"] / BAR
     state[12] = before["supply_pressure"] / BAR
     return state
-
-
-def _assemble(bench: SimulatedBench, demand: SwingDemand, begun: Backswing, downswing: Downswing) -> Profile:
-    """Return the profile with the robot left where it is at the ball for the follow-through."""
-    up, top, trial, period = begun.profile, len(begun.cycles), downswing.trial, bench.plant.tick
-    contact, past = trial.contact, round(demand.follow_time / period) + AFTER_CONTACT
-    angle = np.vstack([up.angle[:top], trial.angle[:contact], np.tile(trial.angle[contact], (past, 1))])
-    window = top + contact - BEFORE_CONTACT
-    committed, end = window - round(demand.no_return_time / period), top + contact + AFTER_CONTACT
-    still = np.zeros((past, 3))
-    return replace(
-        up,
-        name=bench.profile.name,
-        golfer=bench.profile.golfer,
-        club=bench.plant.robot.club.name,
-        begins=(*up.begins[:3], top, committed, window, end),
-        angle=angle,
-        # At rest in the first row: the tick before the downswing must not depend on it.
-        velocity=np.vstack([up.velocity[:top], np.zeros(3), trial.speed[1:contact], still]),
-        valve=np.vstack([up.valve[:top], downswing.opening[:contact], still]),
-        blind_brake=np.zeros(((len(angle) - 1) // SPACING + 1, 6)),
-        impact_time=(top + contact) * period,
-    )
-
-
-def _with_figures(
-    profile: Profile,
-    parameters: PlantParameters,
-    state: NDArray[Any],
-    delivered: Array,
-    demand: SwingDemand,
-    trial: ShootingTrial,
-) -> Profile:
-    """Return `profile` with the delivery in closed loop, `delivered`, and the limits it was made for."""
-    error, lean, *velocity = delivered[:4]
-    speed, slope, lie = float(np.hypot(*velocity)), atan2(velocity[1], velocity[0]), parameters.robot.lie
-    return replace(
-        profile,
-        text=f"{speed:.1f} m/s at the ball in closed loop, designed for this plant",
-        delivery={
-            "head_speed_mps": speed,
-            "attack_angle_deg": degrees(asin(sin(slope) * sin(lie))),
-            "path_slope_deg": degrees(slope),
-            "shaft_lean_deg": float(np.degrees(lean - SHAFT_DOWN)),
-            "in_plane_error_mm": 1e3 * float(error),
-        },
-        limits={
-            "supply_pressure_pa": parameters.supply.pressure,
-            "greatest_opening": 1.0 - demand.margin,
-            "stop_share": float(stop_shares(state["stop_energy"][0], parameters).max()),
-            "stop_share_missed": float(stop_shares(trial.missed_energy, parameters).max()),
-            "stop_share_silent": float(stop_shares(trial.silent_energy, parameters).max()),
-            "peak_pressure_pa": float(state["peak_pressure"].max()),
-        },
-    )
 
 
 def design_swing(
@@ -561,10 +585,10 @@ def design_swing(
     """
     load_casadi()  # a missing package must fail before the long part
     bench = _bench(configuration, name, golfer)
-    begun = _swing_up(bench, demand)
-    downswing = design_downswing(bench, demand, start, begun, progress)
+    design = SwingDesigner(bench, demand, progress)
+    downswing = design.downswing(start)
     try:
-        profile = _into_the_loop(bench, demand, begun, downswing, progress)
+        profile = design.into_the_loop(downswing)
         profile = replace(profile, text=text or profile.text)
         patterns = None if start is None else start.blind_brake
         blind = design_blind_brake(
@@ -576,50 +600,6 @@ def design_swing(
     if faults := profile_faults(profile, bench.plant, bench.envelope):
         raise DesignFailed(f"the swing does not pass `golfbench check`: {'; '.join(map(str, faults))}")
     return profile
-
-
-def _into_the_loop(
-    bench: SimulatedBench,
-    demand: SwingDemand,
-    begun: Backswing,
-    downswing: Downswing,
-    progress: Progress,
-) -> Profile:
-    """Return the profile whose swing in closed loop delivers as `downswing` should.
-
-    The aim is corrected by the loop's effect, until the head passes the ball as wanted. The effect is the
-    delivery in closed loop less that of the same valve commands in open loop. So the correction's remaining
-    error cancels.
-
-    Raises:
-        LoopFailed: the swing does not run, or misses the ball.
-    """
-    shooter = _shooter(bench, begun)
-    best = None
-    for count in range(_AIMED):
-        progress("closed loop", count / _AIMED)
-        profile = _assemble(bench, demand, begun, downswing)
-        opening = downswing.opening[: downswing.trial.contact + AFTER_CONTACT]
-        profile = imprint(replace(bench, profile=profile), opening)
-        profile = as_written(with_follow_through(replace(bench, profile=profile))[0])
-        _, state = with_follow_through(replace(bench, profile=profile))
-        delivered = _delivered(state, bench.plant)
-        off = float(np.abs((delivered - downswing.wanted) / UNITS)[:4].max())
-        if best is None or off < best[0]:
-            best = off, _with_figures(profile, bench.plant, state, delivered, demand, downswing.trial)
-        if off < 1.0:
-            break
-        alone = arrival_errors(shooter.arrive(downswing.opening), downswing.wanted)
-        aim = downswing.wanted - (delivered - downswing.wanted - alone)
-        try:
-            opening = refine(shooter, downswing.opening, aim, 1.0 - demand.margin)
-        except NotReached:
-            break
-        downswing = downswing._replace(opening=opening, trial=shooter.shoot(opening))
-    progress("closed loop", 1.0)
-    if best is None or best[0] > NEAR:
-        raise LoopFailed("in closed loop the head does not pass the ball as demanded")
-    return best[1]
 
 
 def _bench(configuration: Configuration, name: str = "", golfer: str = "") -> SimulatedBench:

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from math import asin, radians, sin
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,13 +19,11 @@ from bench.control.settings import pid_record
 from bench.design import designer
 from bench.design.designer import (
     DesignFailed,
+    SwingDesigner,
     _Cushions,
     _guess_from,
-    _model_state,
     _problem,
-    _swing_up,
     address_pose,
-    design_downswing,
     design_swing,
     fastest_plan,
     slope_of,
@@ -194,9 +193,8 @@ def test_state_bounds_include_start_beyond_top(plant: PlantParameters) -> None:
 def _coarse_plan(plant: PlantParameters, demand: SwingDemand) -> tuple[DownswingProblem, DownswingPlan]:
     """Return the shipped swing's downswing planned anew on a coarse mesh, and the problem it solves."""
     bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
-    state = _model_state(_swing_up(bench, demand))
-    problem = _problem(plant, demand, bench.envelope, state)
-    return problem, solve_downswing(plant, problem, *_guess_from(bench.profile, state, 12), 12)
+    problem = SwingDesigner(bench, demand).problem
+    return problem, solve_downswing(plant, problem, *_guess_from(bench.profile, problem.start, 12), 12)
 
 
 @pytest.mark.slow
@@ -231,10 +229,10 @@ def test_design_downswing_without_guess_meets_demand(monkeypatch: pytest.MonkeyP
     bench = SimulatedBench(load_profile(find_profile("default")))
     demand = SwingDemand(head_speed=38.0, attack=radians(2.0))
     told = list[tuple[str, float]]()
-    begun = _swing_up(bench, demand)
-    found = design_downswing(bench, demand, None, begun, lambda what, part: told.append((what, part)))
+    design = SwingDesigner(bench, demand, lambda what, part: told.append((what, part)))
+    found = design.downswing(None)
     ratings = [[a.stop.energy] for a in bench.plant.actuators]
-    arrival = designer._shooter(bench, begun).arrive(found.opening)
+    arrival = design.shooter.arrive(found.opening)
     assert np.hypot(*arrival.head[3:5]) == pytest.approx(38.0, abs=0.1)
     assert abs(arrival.error) < 1e-3
     assert np.all(found.trial.missed_energy <= ratings)
@@ -255,13 +253,12 @@ def test_cushions_next_interpolates_between_tried_values() -> None:
 
 def test_design_swing_faulty_result_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     """As the wrist that is late at the top leaves a step there."""
-    monkeypatch.setattr(designer, "_swing_up", lambda *_: None)
-    monkeypatch.setattr(designer, "design_downswing", lambda *_: None)
     made = replace(load_profile(find_profile("default")), club="none")
     stepped = made.angle.copy()
     stepped[made.begins[3] :, 2] += 0.2
     made = replace(made, angle=stepped)
-    monkeypatch.setattr(designer, "_into_the_loop", lambda *_: made)
+    design = SimpleNamespace(downswing=lambda _: None, into_the_loop=lambda _: made)
+    monkeypatch.setattr(designer, "SwingDesigner", lambda *_: design)
     monkeypatch.setattr(designer, "design_blind_brake", lambda *_: made.blind_brake)
     with pytest.raises(
         DesignFailed, match=r'golfbench check.*club: found "none".*a step no robot can follow'
