@@ -13,7 +13,7 @@ import sys
 import tomllib
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from functools import cache, partial
 from math import pi
 from pathlib import Path
@@ -398,6 +398,42 @@ def _holds(mark: Any, value: Any) -> bool:
             return not low < value < high * (1 - 1e-12)
         case _:
             return True
+
+
+def recorded_tables(
+    configuration: Mapping[str, Any], kinds: Mapping[str, type[Any]], location: str, action: str
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return tables of a record's `configuration` as their `kinds`, and the keys that it lacks.
+
+    Today's defaults stand for missing keys. The record is at `location`.
+
+    Raises:
+        ExceptionGroup: one BenchError, with `action`, per value that this program rejects.
+    """
+    file, faults = Path(f"{location}: configuration"), list[BenchError]()
+    built, missing = dict[str, Any](), list[str]()
+    for name, kind in kinds.items():
+        given = configuration.get(name)
+        recorded = as_tree({name: given if isinstance(given, dict) else {}}, file, faults)
+        today = as_tree({name: json.loads(json.dumps(asdict(kind())))}, file, faults)
+        missing += _missing(today, recorded)
+        tree: Any = laid_over(today, recorded)[name]
+        built[name] = Builder(tree, file, action, action, faults=faults).build(kind)
+    if faults:
+        raise ExceptionGroup(f"{location} has an invalid configuration", faults)
+    return built, tuple(missing)
+
+
+def _missing(today: Tree, recorded: Tree, prefix: str = "") -> list[str]:
+    """Return the dotted keys of `today` that `recorded` does not have."""
+    keys = []
+    for name, node in today.items():
+        other = recorded.get(name)
+        if other is None:
+            keys.append(f"{prefix}{name}")
+        elif isinstance(node, dict) and isinstance(other, dict):
+            keys += _missing(node, other, f"{prefix}{name}.")
+    return keys
 
 
 Checked = TypeVar("Checked")

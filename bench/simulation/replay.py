@@ -14,9 +14,8 @@ near a swing came to the limits of the model-based check, also for a record made
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import nan
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from bench.base.errors import BenchError
-from bench.base.from_toml import Builder, Tree, as_tree, laid_over
+from bench.base.from_toml import recorded_tables
 from bench.base.lifecycle import Reaction
 from bench.control.estimate.residual_monitor import BRAKING, KINDS, LEARNING, SHOCK, row_of
 from bench.control.settings import (
@@ -184,19 +183,8 @@ def settings_of(metadata: Mapping[str, Any], location: str) -> tuple[dict[str, A
     configuration = metadata.get("configuration")
     if not isinstance(configuration, Mapping):
         raise BenchError(f"{location}: configuration", "missing", "the bench's settings", _VERSION)
-    file, faults = Path(f"{location}: configuration"), list[BenchError]()
-    built, defaults = dict[str, Any](), list[str]()
-    for name, kind in _SETTINGS.items():
-        given = configuration.get(name, {})
-        recorded = as_tree({name: given if isinstance(given, dict) else {}}, file, faults)
-        today = as_tree({name: _as_json(asdict(kind()))}, file, faults)
-        defaults += _missing(today, recorded, "")
-        tree = laid_over(today, recorded)[name]
-        action = "Replay it with the version of golfbench that wrote it, or renew the record."
-        built[name] = Builder(tree, file, action, action, faults=faults).build(kind)  # type: ignore[arg-type]
-    if faults:
-        raise ExceptionGroup(f"{location} cannot be replayed", faults)
-    return built, tuple(defaults)
+    action = "Replay it with the version of golfbench that wrote it, or renew the record."
+    return recorded_tables(configuration, _SETTINGS, location, action)
 
 
 _SETTINGS: Mapping[str, type[Any]] = {
@@ -208,28 +196,6 @@ _SETTINGS: Mapping[str, type[Any]] = {
     "homing": HomingSettings,
 }
 """Arguments of `build_controller` by their table in the configuration."""
-
-
-def _as_json(value: Any) -> Any:
-    match value:
-        case dict():
-            return {key: _as_json(item) for key, item in value.items()}
-        case tuple():
-            return [_as_json(item) for item in value]
-        case _:
-            return value
-
-
-def _missing(today: Tree, recorded: Tree, prefix: str) -> list[str]:
-    """Return the dotted keys of `today` that `recorded` does not have."""
-    keys = []
-    for name, node in today.items():
-        other = recorded.get(name)
-        if other is None:
-            keys.append(f"{prefix}{name}")
-        elif isinstance(node, dict) and isinstance(other, dict):
-            keys += _missing(node, other, f"{prefix}{name}.")
-    return keys
 
 
 class _Recorded:

@@ -6,9 +6,8 @@ delivery is that of the estimated angles, and models compute launch and flight, 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import pi, radians
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.base.from_toml import Builder, as_tree, laid_over
+from bench.base.from_toml import recorded_tables
 from bench.base.json_schema import require_fit
 from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.records.shot.shot import (
@@ -110,19 +109,9 @@ def plant_of(metadata: Mapping[str, Any], location: str) -> tuple[PlantParameter
     configuration: dict[str, Any] = dict(given) if isinstance(given, Mapping) else {}
     if isinstance(around := configuration.get("surroundings"), Mapping):
         configuration |= around
-    faults: list[BenchError] = []
-    file = Path(f"{location}: configuration")
-    built: dict[str, Any] = {}
-    for name, kind in (("plant", PlantParameters), ("air", Air), ("wind", Wind), ("turf", Turf)):
-        table = configuration.get(name)
-        recorded = as_tree({name: table if isinstance(table, dict) else {}}, file, faults)
-        defaults = json.loads(json.dumps(asdict(kind())))
-        today = as_tree({name: defaults}, file, faults)
-        action = "Read it with the version of golfbench that wrote it."
-        tree = laid_over(today, recorded)[name]
-        built[name] = Builder(tree, file, action, action, faults=faults).build(kind)  # type: ignore[arg-type]
-    if faults:
-        raise ExceptionGroup(f"{location} has an invalid configuration", faults)
+    kinds = {"plant": PlantParameters, "air": Air, "wind": Wind, "turf": Turf}
+    action = "Read it with the version of golfbench that wrote it."
+    built, _ = recorded_tables(configuration, kinds, location, action)
     return built["plant"], FlightConditions(built["air"], built["wind"], built["turf"])
 
 
