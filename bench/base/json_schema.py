@@ -159,7 +159,7 @@ def json_value(value: Any) -> Any:
             return value
 
 
-def json_object(payload: bytes) -> dict[str, Any] | None:
+def json_object(payload: bytes | str) -> dict[str, Any] | None:
     """Return the JSON object in `payload`; None for anything else."""
     try:
         read = json.loads(payload)

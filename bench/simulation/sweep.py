@@ -32,6 +32,7 @@ import scipy.linalg  # noqa: F401
 from threadpoolctl import threadpool_limits
 
 from bench.base.errors import BenchError, ExitCode
+from bench.base.json_schema import json_object
 from bench.base.process import end_with
 from drivers.base.compile_report import announce_compilation
 from drivers.base.machine_code import imported_sources
@@ -210,11 +211,11 @@ class SweepStore(Generic[Result]):
         """Time that the results took over all runs, s."""
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         header = {"schema": _SCHEMA, "digest": digest}
-        if not lines or _parsed(lines[0]) != header:
+        if not lines or json_object(lines[0]) != header:
             lines = [json.dumps(header)]
         kept = lines[:1]
         for line in lines[1:]:
-            record = _parsed(line)
+            record = json_object(line) or {}
             if "seconds" in record:
                 self.seconds += float(record["seconds"])
                 kept.append(line)
@@ -238,14 +239,6 @@ class SweepStore(Generic[Result]):
         self.seconds += seconds
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"seconds": round(seconds, 1)}) + "\n")
-
-
-def _parsed(line: str) -> dict[str, Any]:
-    try:
-        record = json.loads(line)
-    except ValueError:
-        return {}
-    return record if isinstance(record, dict) else {}
 
 
 def code_digest(*modules: str) -> str:

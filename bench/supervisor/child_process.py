@@ -28,6 +28,7 @@ import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.base.interrupt import HANGUP
+from bench.base.json_schema import json_object
 from bench.base.lifecycle import Cause
 from bench.base.process import import_path
 from bench.swing.correction_terms import MAX_WEIGHTS
@@ -389,10 +390,9 @@ class Child:
                 self._partial_line += new
         *lines, self._partial_line = self._partial_line.split(b"\n")
         for line in lines:
-            with suppress(ValueError):
-                event = json.loads(line)
-                if isinstance(event, dict) and isinstance(event.get("event"), str):
-                    self.events.append(event)
+            event = json_object(line)
+            if event is not None and isinstance(event.get("event"), str):
+                self.events.append(event)
 
     def take_events(self) -> list[dict[str, Any]]:
         """Return its events since the last call."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError
-from bench.base.json_schema import json_value, require_fit
+from bench.base.json_schema import json_object, json_value, require_fit
 from bench.base.lifecycle import (
     CAUSE_TEXT,
     CAUSE_WORDS,
@@ -294,9 +294,8 @@ class RunMarker:
                 "Set bench.data_dir to a folder with write access.",
             ) from error
         before: Mapping[str, Any] = {}
-        with suppress(OSError, ValueError):  # missing or corrupt: start without state
-            before = json.loads(self.path.read_text(encoding="utf-8"))
-            before = before if isinstance(before, dict) else {}
+        with suppress(OSError):  # missing or corrupt: start without state
+            before = json_object(self.path.read_bytes()) or {}
         self.was_killed = bool(before.get("running"))
         """Whether the previous shutdown was unclean."""
         self.last_stop: dict[str, Any] | None = before.get("last_stop")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
+from bench.base.json_schema import json_object
 from bench.campaign.interruptions import software_versions
 from bench.campaign.report.campaign_record import (
     SHOT_DIGITS,
@@ -110,11 +111,8 @@ def missing_records(stored: Sequence[StoredShot], data_dir: Path) -> list[str]:
 def _embedded(record: CampaignRecord, page: str, place: str) -> Mapping[str, Any]:
     match = _DATA.search(page)
     action = "Write the report again: golfbench campaign report ID."
-    try:
-        data: Any = json.loads(match[1]) if match else None
-    except ValueError:
-        data = None
-    if not isinstance(data, dict) or not {"campaign", "shots", "figures", "units", "issue"} <= data.keys():
+    data = json_object(match[1] if match else "")
+    if data is None or not {"campaign", "shots", "figures", "units", "issue"} <= data.keys():
         raise BenchError(place, "no data of a report", "a report of this version of golfbench", action)
     if data["campaign"] != record.entry.id:
         raise BenchError(place, f"the report of {data['campaign']}", f"that of {record.entry.id}", action)
