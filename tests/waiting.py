@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 HURRY = 15.0
 """s that anything may take on a busy machine."""
@@ -21,3 +22,11 @@ def wait_until(
         assert time.monotonic() < deadline, words()
         nudge()
         time.sleep(0.005)
+
+
+def wait_until_stopped(pid: int) -> None:
+    """Return once process `pid` stands still by SIGSTOP."""
+    deadline = time.monotonic() + 10
+    while Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
+        assert time.monotonic() < deadline
+        time.sleep(0.0002)

@@ -34,6 +34,7 @@ from drivers.can_bus import switch
 from sim.exchange import PLANT_REPORT, REPORT_FILE
 from tests.drivers.canopen.frame_classes import CLASSES
 from tests.running_bench import BenchProcess, command_beside, played_nodes, running_bench, write_configuration
+from tests.waiting import wait_until
 
 pytestmark = [
     pytest.mark.live,
@@ -85,10 +86,7 @@ def test_canopen_bench_lost_bus_latches_fault_until_reset(tmp_path: Path) -> Non
         bench.recover()
         switch(channel, on=False)
         bench.wait_until(lambda record: record["state"] == State.FAULT)
-        deadline = time.monotonic() + 20.0
-        while in_force() != PASSIVE:
-            assert time.monotonic() < deadline, in_force()
-            time.sleep(0.01)
+        wait_until(lambda: in_force() == PASSIVE, 20.0, in_force)
         with pytest.raises(CommandRefused):
             bench.client.reset()
         bench.wait_until(lambda record: record["state"] == State.ESTOP)  # nobody knows of the circuit

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from drivers.base.shared_memory import SharedRecord
+from tests.waiting import wait_until_stopped
 
 pytestmark = pytest.mark.live
 
@@ -196,10 +197,3 @@ def test_shared_record_writer_killed_mid_write_next_writer_continues(
         writers.start()
         check.wait_beyond(newest)
     assert middles > rounds / 10, "the test means it"
-
-
-def wait_until_stopped(pid: int) -> None:
-    deadline = time.monotonic() + 10
-    while Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
-        assert time.monotonic() < deadline
-        time.sleep(0.0002)

@@ -22,6 +22,7 @@ from sim.nodes.wall_plant import NodesPlan
 from sim.plant import PlantParameters
 from tests.drivers.canopen.nodes_process import NodesProcess
 from tests.ready_child import ready_child
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.live
 
@@ -69,13 +70,6 @@ def run(driver: CanopenDriver, holds: Callable[[], bool], command: Command = MOV
         time.sleep(0.0005)
 
 
-def wait(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + LONGEST
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
-
-
 def test_nodes_process_receives_commands_and_sends_positions(
     driver: CanopenDriver, nodes: NodesProcess
 ) -> None:
@@ -112,12 +106,12 @@ def test_loop_killed_or_frozen_valves_centre_within_watchdog(
         try:
             assert loop.stdout is not None
             assert loop.stdout.readline() == b"open\n"
-            wait(lambda: nodes.in_force == MOVING)
+            wait_until(lambda: nodes.in_force == MOVING)
             loop.send_signal(number)
-            wait(lambda: nodes.in_force == PASSIVE)
+            wait_until(lambda: nodes.in_force == PASSIVE)
         finally:
             loop.kill()
-    wait(lambda: int(nodes.node["watchdog_trips"]) > before)
+    wait_until(lambda: int(nodes.node["watchdog_trips"]) > before)
     node = nodes.node
     assert not node["operational"]
     # The plant's own ticks: 20 ms, and what a busy machine adds by making up ticks in bursts.
@@ -146,7 +140,7 @@ def test_bus_switched_off_driver_latches_fault_until_reopened(
     try:
         run(driver, lambda: not driver.operational)
         assert "Network is down" in driver.fault
-        wait(lambda: nodes.in_force == PASSIVE)
+        wait_until(lambda: nodes.in_force == PASSIVE)
         driver.close()
         with pytest.raises(DriverError, match="check that the interface is up"):
             driver.open()

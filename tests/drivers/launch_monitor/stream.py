@@ -20,13 +20,6 @@ def shot(number: int = 1) -> bytes:
     return write_shot(number, LAUNCH, "monitor")
 
 
-def wait_for(holds: Callable[[], object], timeout: float = 10.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not holds():
-        assert time.monotonic() < deadline, "it did not come"
-        time.sleep(0.002)
-
-
 def receive(connection: socket.socket, count: int) -> bytes:
     """Return the data received up to `count` answers, or up to the end of the connection."""
     connection.settimeout(10.0)

@@ -17,7 +17,8 @@ from drivers.launch_monitor.open_connect import write_heartbeat
 from drivers.launch_monitor.record import ClubRecord, RefusedRecord
 from drivers.launch_monitor.server import MAX_CONNECTIONS, LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings, SimulatorSettings
-from tests.drivers.launch_monitor.stream import LAUNCH, receive, serving, shot, wait_for
+from tests.drivers.launch_monitor.stream import LAUNCH, receive, serving, shot
+from tests.waiting import wait_until
 
 
 class Clock:
@@ -103,7 +104,7 @@ def test_server_endless_object_is_disconnected(server: LaunchMonitorServer, conn
             connection.sendall(b'{"a": "' + b"x" * 10_000)
     other.sendall(shot())
     assert b"200" in receive(other, 1)
-    wait_for(lambda: len(server.link().connected) == 1)
+    wait_until(lambda: len(server.link().connected) == 1)
     assert (server.link().counts.too_large, server.link().disconnected) == (1, 1)
 
 
@@ -112,7 +113,7 @@ def test_server_truncated_object_is_dropped_and_next_parsed(
 ) -> None:
     connection = connect()
     connection.sendall(shot()[:100])
-    wait_for(lambda: server.link().counts.received == 100)
+    wait_until(lambda: server.link().counts.received == 100)
     clock.now += 2.5
     connection.sendall(shot(2))
     receive(connection, 1)
@@ -126,7 +127,7 @@ def test_server_monitor_not_reading_is_disconnected(server: LaunchMonitorServer,
     with pytest.raises(OSError):  # noqa: PT011, PT012 - reset or broken pipe
         for _ in range(1000):
             connection.sendall(b'{"a":1}' * 5000)
-    wait_for(lambda: not server.link().connected)
+    wait_until(lambda: not server.link().connected)
     assert server.link().disconnected == 1
 
 
@@ -136,9 +137,9 @@ def test_server_silence_disconnects_only_after_heartbeats(
     beating, quiet = connect(), connect()
     beating.sendall(3 * write_heartbeat(0, "beating"))
     quiet.sendall(shot())
-    wait_for(lambda: server.link().counts.objects == 4)
+    wait_until(lambda: server.link().counts.objects == 4)
     clock.now += 31.0
-    wait_for(lambda: len(server.link().connected) == 1)
+    wait_until(lambda: len(server.link().connected) == 1)
     assert server.link().connected[0].device == "monitor"
     assert beating.recv(10) == b""
     assert server.link().counts.statuses == 3  # what is gone is still counted
@@ -162,7 +163,7 @@ def test_server_heartbeats_on_changes_alone_keep_idle_monitor(
     for number in range(3):
         connection.sendall(shot(number) + adapter_beat("true"))
         receive(connection, 1)
-    wait_for(lambda: server.link().counts.statuses == 5)
+    wait_until(lambda: server.link().counts.statuses == 5)
     clock.now += 300.0
     seen = server.link().connected[0].silent
     time.sleep(0.6)  # two checks
@@ -176,7 +177,7 @@ def test_server_unreachable_machine_is_given_up_after_silence(
     server: LaunchMonitorServer, connect: Connect
 ) -> None:
     connect()
-    wait_for(lambda: server.link().connected)
+    wait_until(lambda: server.link().connected)
     (client,) = server._clients
     options = (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_USER_TIMEOUT)
     opened = client.writer.get_extra_info("socket")
@@ -190,7 +191,7 @@ def test_server_monitor_reconnects(server: LaunchMonitorServer, connect: Connect
         connection.sendall(shot(number))
         receive(connection, 1)
         connection.close()
-    wait_for(lambda: not server.link().connected)
+    wait_until(lambda: not server.link().connected)
     assert server.link().connections == 5
     assert [record.number for record in server.take()] == [0, 1, 2, 3, 4]
 
@@ -216,7 +217,7 @@ def test_server_take_asides_returns_club_and_refusal(
     clock.now += 1.0
     connection.sendall(shot()[:50])
     connection.close()
-    wait_for(lambda: server.link().refusal == "an object cut off after 50 bytes")
+    wait_until(lambda: server.link().refusal == "an object cut off after 50 bytes")
 
 
 def test_server_club_zero_counts_after_other_value(server: LaunchMonitorServer, connect: Connect) -> None:
@@ -238,13 +239,13 @@ def test_server_per_shot_connection_is_taken_without_greeting(clock: Clock) -> N
         with socket.create_connection(per_shot.address, 10.0) as connection:
             connection.sendall(shot(50))
             assert json.loads(receive(connection, 1))["Code"] == 200
-        wait_for(lambda: per_shot.link().counts.shots == 51)
+        wait_until(lambda: per_shot.link().counts.shots == 51)
         assert [record.number for record in per_shot.take()] == list(range(51))
 
 
 def test_server_connections_above_limit_are_rejected(server: LaunchMonitorServer, connect: Connect) -> None:
     first = [connect() for _ in range(server_module.MAX_CONNECTIONS)]
-    wait_for(lambda: len(server.link().connected) == len(first))
+    wait_until(lambda: len(server.link().connected) == len(first))
     assert connect().recv(1) == b""
     assert server.link().rejected == 1
     assert server.link().refusal == "connection from 127.0.0.1: 8 are connected"
@@ -254,7 +255,7 @@ def test_server_player_is_announced_to_present_and_new_clients(
     server: LaunchMonitorServer, connect: Connect
 ) -> None:
     before = connect()
-    wait_for(lambda: server.link().connected)
+    wait_until(lambda: server.link().connected)
     server.announce_player("I7")
     assert b'"Club": "I7"' in receive(before, 1)
     assert b'"Club": "I7"' in receive(connect(), 1)
@@ -263,7 +264,7 @@ def test_server_player_is_announced_to_present_and_new_clients(
 def test_server_sends_player_ready_and_end_codes(server: LaunchMonitorServer, connect: Connect) -> None:
     server.announce_player("DR")
     connection = connect()
-    wait_for(lambda: server.link().connected)
+    wait_until(lambda: server.link().connected)
     greeting = receive(connection, 2)
     first, end = json.JSONDecoder().raw_decode(greeting.decode())
     assert first["Player"] == {"Handed": "RH", "Club": "DR", "DistanceToTarget": 251.5}
@@ -353,7 +354,7 @@ def test_server_close_releases_thread_and_sockets(clock: Clock) -> None:
     for _ in range(3):
         server.open()
         with socket.create_connection(server.address) as connection:
-            wait_for(lambda: server.link().connected)
+            wait_until(lambda: server.link().connected)
             with pytest.raises(DriverError, match="already open"):
                 server.open()
             server.close()

@@ -13,7 +13,8 @@ from drivers.launch_monitor.open_connect import write_answer, write_player
 from drivers.launch_monitor.record import ClubFigures
 from drivers.launch_monitor.settings import SimulatorSettings
 from drivers.launch_monitor.simulator_link import MAX_WAITING, SimulatorClient
-from tests.drivers.launch_monitor.stream import LAUNCH, serving, wait_for
+from tests.drivers.launch_monitor.stream import LAUNCH, serving
+from tests.waiting import wait_until
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def test_simulator_client_shot_is_sent_and_taken(gspro: socket.socket, client: S
         assert tree["ShotNumber"] == 1
         assert tree["DeviceID"] == "bench"
         connection.sendall(write_player("DR") + write_answer(200, "Shot received successfully"))
-        wait_for(lambda: client.status().taken == 1)
+        wait_until(lambda: client.status().taken == 1)
         passing = client.status()
         assert (passing.connected, passing.fault, passing.waiting) == (True, "", 0)
         assert passing.player is not None
@@ -72,7 +73,7 @@ def test_simulator_client_unanswered_shot_is_resent_once(
     client.send(LAUNCH)
     with accept(gspro) as connection:
         assert message(connection) == message(connection)
-        wait_for(lambda: client.status().refused == 1)
+        wait_until(lambda: client.status().refused == 1)
         assert "not answered" in client.status().fault
 
 
@@ -85,9 +86,9 @@ def test_simulator_client_disconnects_limit_shot_to_two_sends(
     for _ in range(4):
         with accept(gspro) as connection:
             numbers.append(message(connection)["ShotNumber"])
-    wait_for(lambda: client.status().refused == 1)
+    wait_until(lambda: client.status().refused == 1)
     with accept(gspro):
-        wait_for(lambda: client.status().refused == 2)
+        wait_until(lambda: client.status().refused == 2)
     assert numbers == [1, 1, 2, 2]
 
 
@@ -100,7 +101,7 @@ def test_simulator_client_truncated_answer_keeps_next_answer(
         connection.sendall(b"not valid json {{{")
         message(connection)
         connection.sendall(write_answer(200, "Shot received successfully"))
-        wait_for(lambda: client.status().taken == 1)
+        wait_until(lambda: client.status().taken == 1)
 
 
 def test_simulator_client_answer_with_player_sets_player(
@@ -110,7 +111,7 @@ def test_simulator_client_answer_with_player_sets_player(
     with accept(gspro) as connection:
         message(connection)
         connection.sendall(b'{"Code": 200, "Message": "ok", "Player": {"Handed": "LH", "Club": "I7"}}')
-        wait_for(lambda: client.status().taken == 1)
+        wait_until(lambda: client.status().taken == 1)
     player = client.status().player
     assert player is not None
     assert (player.club, player.handed) == ("I7", "LH")
@@ -123,12 +124,12 @@ def test_simulator_client_refused_shot_reports_fault_and_continues(
     with accept(gspro) as connection:
         message(connection)
         connection.sendall(write_answer(501, "no player"))
-        wait_for(lambda: client.status().refused == 1)
+        wait_until(lambda: client.status().refused == 1)
         assert "501: no player" in client.status().fault
         client.send(LAUNCH)
         message(connection)
         connection.sendall(write_answer(200, ""))
-        wait_for(lambda: client.status().taken == 1)
+        wait_until(lambda: client.status().taken == 1)
 
 
 def test_simulator_client_reconnects_and_resends_shot(gspro: socket.socket, client: SimulatorClient) -> None:
@@ -138,7 +139,7 @@ def test_simulator_client_reconnects_and_resends_shot(gspro: socket.socket, clie
     with accept(gspro) as connection:
         assert message(connection) == first
         connection.sendall(write_answer(200, ""))
-        wait_for(lambda: client.status().taken == 1)
+        wait_until(lambda: client.status().taken == 1)
 
 
 def test_simulator_client_endless_answer_reconnects(gspro: socket.socket, client: SimulatorClient) -> None:
@@ -146,7 +147,7 @@ def test_simulator_client_endless_answer_reconnects(gspro: socket.socket, client
         while True:
             connection.sendall(b'{"a' + b"x" * 100_000)
     with accept(gspro):
-        wait_for(lambda: client.status().connected)
+        wait_until(lambda: client.status().connected)
 
 
 def test_simulator_client_unreachable_drops_out_of_date_shots() -> None:
@@ -159,10 +160,10 @@ def test_simulator_client_unreachable_drops_out_of_date_shots() -> None:
         client.open()
     try:
         client.send(LAUNCH)
-        wait_for(lambda: "refused" in client.status().fault)
+        wait_until(lambda: "refused" in client.status().fault)
         assert client.status().waiting == 1
         now[0] = 11.0
-        wait_for(lambda: client.status().out_of_date == 1)
+        wait_until(lambda: client.status().out_of_date == 1)
         assert not client.status().connected
     finally:
         client.close()
@@ -185,7 +186,7 @@ def test_simulator_client_and_server_exchange_shot_and_player() -> None:
         with closing(client):
             server.announce_player("PT")
             client.send(LAUNCH)
-            wait_for(lambda: client.status().taken == 1)
+            wait_until(lambda: client.status().taken == 1)
             (record,) = server.take()
             assert record.launch == pytest.approx(LAUNCH, abs=1e-4)
-            wait_for(lambda: client.status().player is not None)
+            wait_until(lambda: client.status().player is not None)

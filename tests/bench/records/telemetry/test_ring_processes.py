@@ -21,6 +21,7 @@ import pytest
 
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.ring import RingReader
+from tests.waiting import wait_until_stopped
 
 pytestmark = pytest.mark.live
 
@@ -205,10 +206,3 @@ def test_ring_writer_killed_or_stopped_reader_does_not_block(start: Start, path:
             check.read()
     assert end(writer) == check.reader.head
     check.reader.close()
-
-
-def wait_until_stopped(pid: int) -> None:
-    deadline = time.monotonic() + 10
-    while Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
-        assert time.monotonic() < deadline
-        time.sleep(0.0002)
