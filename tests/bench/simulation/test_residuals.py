@@ -86,8 +86,8 @@ def test_wear_command_worn_valve_names_joint_before_swing_stops(
     file.write_text(f'base = "shipped"\nbench = {{ id = "b1", data_dir = "{tmp_path}" }}\n')
     warned = run("--config", file, "wear", tmp_path / "1.parquet")
     assert (warned.code, "wrist flow is near its limit" in warned.words) == (1, True)
-    earlier = run("--config", file, "wear", tmp_path / "0.parquet")
-    assert "not stored: found swings until 2026-01-01" in " ".join(earlier.err.split())
+    earlier = run("--config", file, "wear", tmp_path / "0.parquet")  # an analysis of earlier swings
+    assert "not stored: found swings until 2026-01-01" in earlier.words
     (finding,) = (one for one in read_wear(wear_file(tmp_path, "b1")).findings if one["part"] == "wrist flow")
     assert finding["text"].startswith("wrist flow is near its limit: ")
     assert finding["time_utc"] == "2026-01-02T00:00:00"
