@@ -47,8 +47,13 @@ class LiveSwinger:
         ask_mark: Callable[[], tuple[float, float] | None] = lambda: None,
         *,
         with_ball: bool = True,
+        ask_person: Callable[[str], None],
+        aborted: Callable[[], bool] = lambda: False,
+        interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
         """`say` shows a message to a person; `ask_mark` asks for the mark on the face, mm.
+
+        `ask_person`, `aborted` and `interrupted` as `BenchOperator` takes them.
 
         Raises:
             Refused: the bench has another profile, or no launch monitor if that is the source.
@@ -63,7 +68,9 @@ class LiveSwinger:
             client,
             "learn",
             simulated=self.simulated,
-            ask_person=lambda todo: say(f"{todo}, then learning continues; Ctrl-C ends it"),
+            ask_person=ask_person,
+            aborted=aborted,
+            interrupted=interrupted,
         )
         self._operator.armed_anew = True
 

@@ -1,7 +1,8 @@
 """Operation of a running bench by a program: lease, way to the address, correction, ball, swing, record.
 
 After a stop a person resets and homes the bench; a simulated bench is reset, homed and armed from here.
-The code of a refusal decides whether it lasts until a person has acted, or passes.
+The code of a refusal decides whether it lasts until a person has acted, or passes. Each request is sent once
+between two looks at abort and interrupt: the client's own retries would ignore both.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from bench.base.errors import Refused
 from bench.base.lifecycle import Refusal, Request, State
 from bench.network.bench_service import BenchStatus
-from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
+from bench.network.client import LATCHED, PRESSURE_TIMEOUT, REST, BenchClient, CommandRefused
 from bench.records.shot.shot_message import ShotPublication
 from bench.records.telemetry.record_file import SwingRecord, read_swing
 from drivers.launch_monitor.record import MatchOutcome
@@ -196,11 +197,24 @@ class BenchOperator:
                     continue
                 if ball:
                     self._tee_up()
-                self.client.swing()
+                self.request_swing()
             except CommandRefused as refused:  # after a re-arming it may move again: that passes
                 _require_passing(refused, deadline)
             else:
                 return status["tick"]
+            self.pause()
+
+    def request_swing(self) -> None:
+        """Request a swing; repeat it until the address pressures are as planned."""
+        deadline = time.monotonic() + PRESSURE_TIMEOUT
+        while True:
+            try:
+                self.client.swing(0.0)
+            except CommandRefused as refused:
+                if refused.refusal is not Refusal.AIR or time.monotonic() > deadline:
+                    raise
+            else:
+                return
             self.pause()
 
     def wait_until_over(self) -> None:
@@ -248,20 +262,20 @@ class BenchOperator:
                 if self._armed and status["cause"] is None:
                     action = "Find out who disarmed it and why, then begin again."
                     raise self.refused("disarmed by request of another client", "an armed robot", action)
-                self.client.arm()
+                self.client.arm(0.0)
                 self.armed_anew = True
             case "SAFE":
-                self.client.home()
+                self.client.home(0.0)
             case state if state in LATCHED:
                 if self._resets >= _RESETS:
                     found = f"{in_words(status)}: it came back {_RESETS} times"
                     raise self.refused(found, "a bench that can be reset", "Look at golfbench status.")
-                self.client.reset()
+                self.client.reset(0.0)
                 self._resets += 1
                 self._on_reset(in_words(status))
 
     def _tee_up(self) -> None:
-        self.client.tee()
+        self.client.tee(0.0)
         deadline = time.monotonic() + _FEED
         while not self.client.status()["ball_present"]:
             if time.monotonic() > deadline:

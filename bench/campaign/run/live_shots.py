@@ -151,14 +151,15 @@ class LiveShots(ShotSource):
         """
         self._plan, self._swings, self._clubs = plan, swings, clubs
         self._client, self.simulated, self._air = client, entry.simulated, air
+        self._requests = {"aborted": aborted, "interrupted": interrupted}
+        """Requests to end the campaign, for each operator of the bench."""
         self._operator = BenchOperator(
             client,
             f"{CAMPAIGN_HOLDER}{entry.id}"[:MAX_HOLDER_LENGTH],
             simulated=entry.simulated,
             ask_person=_left_to_person,
             on_reset=self._note_reset,
-            aborted=aborted,
-            interrupted=interrupted,
+            **self._requests,
         )
         self._ordered: tuple[tuple[float, ...], int] = (), 0
         """Weights requested from the bench, and its number of the correction."""
@@ -350,7 +351,12 @@ class LiveShots(ShotSource):
         self._operator.release()
 
         def learner(problem: LearningProblem) -> LiveSwinger:
-            return LiveSwinger(self._client, problem, "encoders+model", lambda text: None, with_ball=False)
+            return LiveSwinger(
+                *(self._client, problem, "encoders+model", lambda text: None),
+                with_ball=False,
+                ask_person=_left_to_person,
+                **self._requests,
+            )
 
         with _suspending():
             return self._swings.refresh(drift, number, learner)
@@ -363,7 +369,7 @@ class LiveShots(ShotSource):
 
     def _practise(self) -> None:
         """Swing without a ball; not repeated on a bench that does not stay armed after it."""
-        self._client.swing()
+        self._operator.request_swing()
         self._operator.armed_anew = False
         self._operator.wait_until_over()
         self._stays_armed = self._client.status()["state"] == "ARMED"

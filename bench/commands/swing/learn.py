@@ -156,6 +156,9 @@ def _learn_live(
     def say(text: str) -> None:
         bar.console.print(text, highlight=False)
 
+    def ask_person(todo: str) -> None:
+        say(f"{todo}, then learning continues; Ctrl-C ends it")
+
     def ask_mark() -> tuple[float, float] | None:
         with paused(bar):
             return mark_from_person()
@@ -163,7 +166,7 @@ def _learn_live(
     with progress_bar() as bar, BenchClient.connect(configuration) as client:
         require_bench(client.status(), bench.profile, source)
         problem = _problem(bench, bar)
-        with LiveSwinger(client, problem, source, say, ask_mark) as live:
+        with LiveSwinger(client, problem, source, say, ask_mark, ask_person=ask_person) as live:
             result = _result(problem, live, swings, bar)
             live.correct(result.weights)
         return result, live.simulated

@@ -13,7 +13,7 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import REFUSAL_WORDS, Cause, Refusal, Request, State
 from bench.network.bench_operator import BenchOperator
 from bench.network.bench_service import BenchStatus, CommandAnswer
-from bench.network.client import BenchClient, CommandRefused
+from bench.network.client import BenchClient, CommandRefused, HeldLease
 from bench.network.command import Verb
 from bench.records.telemetry.cycle_record import CYCLE
 from tests.bench.fake_bench_service import FakeDesk
@@ -42,7 +42,7 @@ class RestingBench:
         yield
         self.asked.append("release")
 
-    def swing(self) -> None:
+    def swing(self, retry_timeout: float) -> None:
         self.asked.append("swing")
         if self.refusals:
             refusal = self.refusals.pop(0)
@@ -106,6 +106,65 @@ def test_rest_at_address_real_bench_releases_lease_for_person() -> None:
     assert "golfbench reset" in todo[0]
 
 
+class StoppedClient(BenchClient):
+    """Refuses the first request for a reason that passes; a person then stops the program."""
+
+    def __init__(self, state: str, refusal: Refusal) -> None:
+        self.bench, self.refusal, self.asked = "stopped", refusal, list[str]()
+        self.told: Any = {**FakeDesk().status(), "state": state, "time": 0.0, "lease": {"holder": "me"}}
+
+    @property
+    def is_over(self) -> bool:
+        return len(self.asked) > 0
+
+    def status(self) -> BenchStatus:
+        self.told["time"] += 2.0
+        return cast(BenchStatus, self.told)
+
+    @contextmanager
+    def lease(self, holder: str, seconds: float = 5.0) -> Iterator[HeldLease]:
+        yield HeldLease(holder, "key", seconds)
+
+    def stop(self) -> CommandAnswer:
+        self.asked.append("stop")
+        return CommandAnswer(True, "FAULT")
+
+    def _ask_keyed(self, verb: Verb, **values: Any) -> CommandAnswer:
+        assert not self.is_over, f"{verb} after the stop"
+        self.asked.append(verb)
+        raise CommandRefused(
+            self.bench, verb, CommandAnswer(False, self.told["state"], self.refusal.name, reason="moves")
+        )
+
+
+@pytest.mark.parametrize("by", ["abort", "interrupt"])
+@pytest.mark.parametrize(
+    ("state", "refusal", "verb"),
+    [
+        ("FAULT", Refusal.MOVING, "reset"),
+        ("SAFE", Refusal.MOVING, "home"),
+        ("READY", Refusal.NOT_VENTED, "arm"),
+        ("ARMED", Refusal.MOVING, "tee"),
+        ("ARMED", Refusal.AIR, "swing"),
+    ],
+)
+def test_begin_swing_stop_by_person_ends_retries_of_request(
+    by: str, state: str, refusal: Refusal, verb: str
+) -> None:
+    client = StoppedClient(state, refusal)
+    client.told["phase"] = "HOLD"
+    operator = BenchOperator(
+        *(client, "me"),
+        simulated=True,
+        ask_person=print,
+        aborted=lambda: client.is_over and by == "abort",
+        interrupted=lambda: client.is_over and by == "interrupt",
+    )
+    with pytest.raises(Refused if by == "abort" else KeyboardInterrupt):
+        operator.begin_swing(lambda status: True, ball=verb == "tee")
+    assert client.asked == ([verb, "stop"] if by == "abort" else [verb])
+
+
 class DisarmableBench(RestingBench):
     """Arms at once; holds its address after a swing with `series`, else vents."""
 
@@ -113,11 +172,11 @@ class DisarmableBench(RestingBench):
         super().__init__()
         self.state |= {"state": "READY", "phase": "STANDING", "series": series, "cause": None}
 
-    def arm(self) -> None:
+    def arm(self, retry_timeout: float) -> None:
         self.asked.append("arm")
         self.state |= {"state": "ARMED", "phase": "HOLD", "cause": None}
 
-    def reset(self) -> None:
+    def reset(self, retry_timeout: float) -> None:
         self.state["state"] = "READY"
 
     def vent(self, state: str = "READY", cause: str = "") -> None:

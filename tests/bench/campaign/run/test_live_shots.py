@@ -284,6 +284,7 @@ def shots_of(
     *,
     simulated: bool = True,
     interrupted: Any = never,
+    aborted: Any = never,
     monitored: bool = False,
     air: Air | None = None,
     planned: bool = True,
@@ -295,7 +296,7 @@ def shots_of(
     return LiveShots(
         *(replace(entry, id="me"), plan, AsDesigned(profiles), SHIPPED.clubs, bench),
         interrupted=interrupted,
-        aborted=never,
+        aborted=aborted,
         air=lambda: air,
     )
 
@@ -893,15 +894,15 @@ class ArmableBench(StandingBench):
         self._status["time"] += 2.0
         return self._status
 
-    def arm(self) -> None:
+    def arm(self, retry_timeout: float) -> None:
         self.asked.append("arm")
         self._status |= {"state": "ARMED", "phase": "HOLD"}
 
-    def tee(self) -> None:
+    def tee(self, retry_timeout: float) -> None:
         self.asked.append("tee")
         self._status["ball_present"] = True
 
-    def swing(self) -> None:
+    def swing(self, retry_timeout: float) -> None:
         self.asked.append("swing")
         self._status |= {"ball_present": False, "state": "ARMED" if self._status["series"] else "READY"}
 
@@ -957,6 +958,43 @@ class Listening(Watcher):
 
     def say(self, text: str) -> None:
         self.texts.append(text)
+
+
+class Relearning(AsDesigned):
+    """Corrects a drifted swing once, at the address."""
+
+    def refresh(self, drift: Drift, number: int, robot: Any, truth: Any = None) -> str:
+        profile = self.designed(drift.arm)
+        with robot(SimpleNamespace(bench=SimpleNamespace(profile=profile))) as swinger:
+            swinger.correct(np.zeros(1))
+        return "relearned"
+
+
+@pytest.mark.parametrize(
+    ("state", "by", "error", "asked"),
+    [
+        ("FAULT", "", Suspended, []),
+        ("READY", "abort", Suspended, ["stop"]),
+        ("READY", "interrupt", KeyboardInterrupt, []),
+    ],
+)
+def test_relearn_stop_by_person_ends_learning(
+    plan: CampaignPlan, state: str, by: str, error: type[BaseException], asked: list[str]
+) -> None:
+    bench = StandingBench(
+        state=state, driver="canopen", profile="default", launch_monitor=None, lease={"holder": "learn"}
+    )
+    source = shots_of(
+        plan,
+        bench,
+        simulated=False,
+        aborted=lambda: by == "abort",
+        interrupted=lambda: by == "interrupt",
+    )
+    source._swings = Relearning(assessed())
+    with source, pytest.raises(error):
+        source.relearn(Drift(("default", "driver"), "drifted"), 1)
+    assert bench.asked == asked
 
 
 @pytest.mark.live
