@@ -277,7 +277,7 @@ class LoopProcess:
                 if self.parent.gone:
                     self.orders.declare_supervisor_dead()
                 else:
-                    control["request"] = Request.STOP
+                    self.orders.stop()
             if reason and (control["phase"][0] == Phase.STANDING or time > last):
                 return reason
 

@@ -116,6 +116,12 @@ class Orders:
         """Look up the few values that every tick needs: Python's own are at hand fastest."""
         self._seen = self._version[0], self._last_heartbeat[0], self._silence[0], self._alive[0]
 
+    def stop(self) -> None:
+        """Stop in the next tick, as one more stop of the supervisor: a request waits until the tick after."""
+        self._memory["stop_count"] -= 1
+        self._version[0] = _UNREAD
+        self._look()
+
     def declare_supervisor_dead(self) -> None:
         """Treat the supervisor as dead from now on: the loop has seen that its process is gone."""
         self._silence[0] = 0.0

@@ -15,11 +15,16 @@ import numpy as np
 import pytest
 
 from bench.base.errors import Refused
+from bench.base.lifecycle import Phase, Request
+from bench.control.step_records import CONTROL_STATE
 from bench.supervisor import loop_process
 from bench.supervisor.child_process import Parent
 from bench.supervisor.loop_process import WARM_UP, LoopProcess, ThreadUsage, stall_between, usage_reader
+from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from bench.supervisor.timing_record import STAMPS, Stall
 from drivers.base.compile_report import CompileProgress
+from drivers.base.compiled import new_record
+from drivers.base.shared_memory import SharedRecord
 
 MS = 1_000_000
 BEFORE = ThreadUsage(page_faults=7, preemptions=3, waited=5 * MS)
@@ -140,3 +145,47 @@ def test_warm_up_ticks_over_budget_are_refused() -> None:
         loop._warm_up(None)
     assert not loop.cycle.state.control["is_warmed_up"]
     assert loop.ticks < 20 * WARM_UP
+
+
+@pytest.mark.parametrize("delay", [-1, 0, 1])
+@pytest.mark.parametrize("request_", [Request.SWING, Request.STOP])
+def test_live_shutdown_stops_before_request_of_same_tick(
+    tmp_path: Path, delay: int, request_: Request
+) -> None:
+    """The loop looks for its end every 50 ticks, and stops in the tick after it has found one."""
+    shared, given = SharedRecord.create(tmp_path / SUPERVISION_FILE, SUPERVISION), new_record(SUPERVISION)
+    control, done, stop = new_record(CONTROL_STATE), list[int](), loop_process._POLL_TICKS
+
+    def say(**values: int) -> None:
+        for name, value in values.items():
+            given[name] = value
+        shared.write(given)
+
+    say(heartbeat=1, lease=1, support_ready=True)
+    loop: Any = object.__new__(LoopProcess)
+    loop.period, loop.orders = 1e-3, Orders(tmp_path / SUPERVISION_FILE, 1e9)
+    loop.cycle = SimpleNamespace(state=SimpleNamespace(control=control))
+    loop.parent = SimpleNamespace(gone=False, stop_requested=False)
+    loop._note_usage = loop._report_device = lambda: None
+    control["phase"] = Phase.HOLD
+
+    def tick(clock: object) -> float:
+        if len(done) == stop - 1:
+            say(heartbeat=2, shutdown=True)
+        if len(done) == stop + delay:
+            number = "stop_count" if request_ is Request.STOP else "request_number"
+            say(heartbeat=3, request=request_, request_lease=1, **{number: 1})
+        loop.orders.put(control, 1e-3 * len(done))
+        done.append(int(control["request"][0]))
+        control["request"] = 0
+        if len(done) > stop + 5:
+            control["phase"] = Phase.STANDING
+        return 1e-3 * len(done)
+
+    loop._tick = tick
+    assert loop._live(None) == "ordered by its supervisor"
+    assert done[stop] == Request.STOP
+    if request_ is not Request.STOP:
+        assert done.index(request_) == stop + (delay or 1)
+    loop.orders.close()
+    shared.close()
