@@ -6,7 +6,7 @@ The supervisor implements it; tests have their own. `golfbench status --json` pr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple, NotRequired, Protocol, TypedDict
 
 from bench.base.lifecycle import REFUSAL_WORDS, Block, Cause, Phase, Reaction, Refusal, Request, State
@@ -302,8 +302,11 @@ class BenchService(Protocol):
     def status(self) -> BenchStatus:
         """Return the snapshot; `lease` and `counts` are overwritten by the command plane."""
 
-    def request(self, request: Request) -> CommandAnswer:
-        """Put `request` to the loop and wait, 0.2 s at most, for its answer; the cause is added."""
+    def request(self, request: Request, is_late: Callable[[], bool]) -> CommandAnswer:
+        """Put `request` to the loop and wait, 0.2 s at most, for its answer; the cause is added.
+
+        Refused if it `is_late` once it is ready for the loop.
+        """
 
     def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Swing with the correction `weights` of the profile with the digest `profile` from now on.

@@ -13,6 +13,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple, cast
 
@@ -52,7 +53,7 @@ QUEUE = 64
 """Max messages waiting in a lane."""
 
 MAX_REQUEST_WAIT = STOP_LOCKOUT_TIME - 0.5
-"""Max waiting time of a request in its lane, s; the sender of an older one has given up: it is dropped."""
+"""Max age of a request handed to the loop, s; the sender of an older one has given up: it is dropped."""
 
 HEARTBEAT = 0.2
 """Interval of published states without a change, s."""
@@ -80,6 +81,8 @@ coming and going are."""
 
 _STOPS_ANYWAY = "The bench stops all the same."
 _REQUESTED = frozenset({Verb.LEASE, Verb.CORRECT, *REQUESTS})
+_NEVER_LATE = frozenset({"lease release", Verb.DISARM})
+"""Forms that only end permissions: carried out at any age."""
 
 
 class Message(NamedTuple):
@@ -311,26 +314,33 @@ class CommandPlane:
         for query, verb, payload, arrived in messages:
             if verb in _REQUESTED and self._closing:
                 self._refuse(query, verb, Refusal.SHUTTING_DOWN)
-            elif verb in _REQUESTED and self._clock() - arrived > MAX_REQUEST_WAIT:
-                self._refuse(query, verb, Refusal.TOO_LATE)
             else:
-                self._do(query, verb, payload)
+                self._do(query, verb, payload, arrived)
 
-    def _do(self, query: zenoh.Query, verb: str, payload: bytes) -> None:
+    def _do(self, query: zenoh.Query, verb: str, payload: bytes, arrived: float) -> None:
         try:
             command = parse_command(verb, payload)
         except BenchError as error:
             self._answer_error(query, error)
             return
+        is_late = partial(self._is_late, command, arrived)
+        if is_late():
+            self._refuse(query, verb, Refusal.TOO_LATE)
+            return
         try:
-            answer = self._obey(command)
+            answer = self._obey(command, is_late)
         except LeaseRefused as error:
             answer = self._answer_of(refused("", error.refusal, *error.words))
         except Exception as error:  # the client gets an answer to any error of the service
             answer = self._failed(error)
         self._answer(query, verb, answer)
 
-    def _obey(self, command: ParsedCommand) -> CommandAnswer:
+    def _is_late(self, command: ParsedCommand, arrived: float) -> bool:
+        if command.verb not in _REQUESTED or command.form in _NEVER_LATE:
+            return False
+        return self._clock() - arrived > MAX_REQUEST_WAIT
+
+    def _obey(self, command: ParsedCommand, is_late: Callable[[], bool]) -> CommandAnswer:
         verb, key, sequence = command.verb, command.key, command.sequence
         match command.form:
             case "lease take":
@@ -353,7 +363,7 @@ class CommandPlane:
                 self._book.use(key, sequence, self._clock())
         if verb is Verb.CORRECT:
             return self._answer_of(self._service.correct(command.profile, command.weights))
-        return self._answer_of(self._service.request(REQUESTS[verb]))
+        return self._answer_of(self._service.request(REQUESTS[verb], is_late))
 
     def _failed(self, error: Exception) -> CommandAnswer:
         fact = f"the bench could not do it, {type(error).__name__}: {error}"

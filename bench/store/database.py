@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from math import ceil
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_type_hints
@@ -185,7 +186,7 @@ SCHEMA_VERSION = 15
 
 
 BUSY_TIMEOUT = 5.0
-"""Time to wait for another process' write, s."""
+"""Time to wait for another process' write, or for a server's answer to a connection, s."""
 AWAY_PAUSE = 0.5
 """Time between two attempts to reach the server, s."""
 
@@ -335,7 +336,9 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
             url = _read_only_url(Path(location))
     try:
         # A connection that a restart of the server has cut is replaced when it is next used.
-        arguments = {"timeout": BUSY_TIMEOUT} if is_sqlite else {}
+        arguments: dict[str, float] = {"timeout": BUSY_TIMEOUT} if is_sqlite else {}
+        if url.get_backend_name() == "postgresql":  # whose driver takes whole seconds, and waits for minutes
+            arguments["connect_timeout"] = ceil(BUSY_TIMEOUT)
         engine = create_engine(url, connect_args=arguments, pool_pre_ping=not is_sqlite)
     except ModuleNotFoundError as error:
         found, action = f"package {error.name} is not installed", f"Run pip install {error.name}."

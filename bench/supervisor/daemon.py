@@ -152,14 +152,19 @@ class Daemon:
 
     # Commands ------------------------------------------------------------------------------------
 
-    def request(self, request: Request) -> CommandAnswer:
-        """Send `request` to the loop and wait for its answer; a bench that is not ready is not armed."""
+    def request(self, request: Request, is_late: Callable[[], bool]) -> CommandAnswer:
+        """Send `request` to the loop and wait for its answer; a bench that is not ready is not armed.
+
+        The database may delay the check of the readiness: a request that `is_late` then is refused.
+        """
         if request is Request.ARM:
             self._blocks = self._assess_again()
             if self._blocks:
                 fact = f"arming blocked: {'; '.join(map(block_text, self._blocks))}"
                 content = {"arming_blocks": self._blocks}
                 return refused(self._link.state, Refusal.BLOCKED, fact)._replace(content=content)
+        if is_late():
+            return refused(self._link.state, Refusal.TOO_LATE)
         self._grant()  # a lease taken since the last turn counts for this request
         return self._link.request(request)
 

@@ -49,6 +49,8 @@ class FakeDesk:
     def __init__(self, state: State = State.ESTOP) -> None:
         self.state = state
         self.requests: list[Request] = []
+        self.late: list[bool] = []
+        """Whether each request was late after its wait; it is done all the same."""
         self.corrections: list[tuple[str, tuple[float, ...]]] = []
         self.stops: list[tuple[str, float]] = []
         self.free = threading.Event()
@@ -71,9 +73,10 @@ class FakeDesk:
         """Cause of a disarming; POWER_UP in ESTOP and FAULT."""
         self._began = time.monotonic()
 
-    def request(self, request: Request) -> CommandAnswer:
+    def request(self, request: Request, is_late: Callable[[], bool]) -> CommandAnswer:
         self.requests.append(request)
         self.free.wait()
+        self.late.append(is_late())
         if self.error is not None:
             raise self.error
         if self.refuse:

@@ -322,7 +322,24 @@ def test_command_plane_expired_request_is_refused(
     late = second()
     assert isinstance(late, CommandAnswer)
     assert late.refusal == "TOO_LATE"
-    assert bench.service.requests == [Request.RESET]
+    assert (bench.service.requests, bench.service.late) == ([Request.RESET], [True])
+
+
+def test_command_plane_expired_disarm_and_release_are_carried_out(
+    bench: RunningPlane, asker: Asker, clock: FakeClock
+) -> None:
+    bench.service.free.clear()
+    key = asker.take()
+    waits = [asker.send("arm", encode_command(Verb.ARM, key=key, sequence=1))]
+    wait_until(lambda: len(bench.service.requests) == 1)
+    waits.append(asker.send("disarm", encode_command(Verb.DISARM)))
+    waits.append(asker.send("lease", encode_command(Verb.LEASE, action="release", key=key, sequence=2)))
+    asker.ask("status")  # comes after them on the same link
+    clock.now += MAX_REQUEST_WAIT + 0.1
+    bench.service.free.set()
+    assert [getattr(wait(), "refusal", "") for wait in waits] == ["STATE", "STATE", "NONE"]
+    assert (bench.service.requests, bench.service.late) == ([Request.ARM, Request.DISARM], [True, False])
+    assert bench.plane.lease() is None
 
 
 # The end ---------------------------------------------------------------------------------------------

@@ -5,7 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shutil
+import socket
 import sqlite3
+import time
 from contextlib import closing, nullcontext
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -242,6 +244,17 @@ def test_open_database_server_away_is_device_error(tmp_path: Path) -> None:
     with pytest.raises(module.DatabaseAway) as refusal, open_database(url, NOW):
         pass
     assert refusal.value.exit_code == ExitCode.DEVICE
+
+
+def test_open_database_silent_server_times_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("psycopg")
+    monkeypatch.setattr(module, "BUSY_TIMEOUT", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port, began = silent.getsockname()[1], time.monotonic()
+        url = database_url(f"postgresql+psycopg://127.0.0.1:{port}/golf", tmp_path)
+        with pytest.raises(module.DatabaseAway), open_database(url, NOW):
+            pass
+    assert time.monotonic() - began < 10.0
 
 
 def test_open_database_missing_driver_names_package_and_hides_password(

@@ -31,6 +31,7 @@ from bench.network.bench_service import CommandAnswer
 from bench.network.client import CommandRefused
 from bench.network.command import Verb
 from bench.network.status_words import ARMING_BLOCKED
+from bench.simulation.swing_operator import never
 from bench.store.database import open_database
 from bench.supervisor.daemon import Daemon
 from bench.supervisor.readiness import FEEDBACK_ONLY, HALF_BLIND, NO_MODEL_CHECK, assess_bench
@@ -356,36 +357,36 @@ def test_daemon_start_logs_values_replaced_by_calibration(
 def test_daemon_ball_off_profile_refuses_arming(start: Start, calibrate: Calibrate) -> None:
     calibrate(MISSED)
     daemon, link = start()
-    reply = daemon.request(Request.ARM)
+    reply = daemon.request(Request.ARM, never)
     assert (reply.accepted, link.asked) == (False, [])
     assert [block["code"] for block in reply.content["arming_blocks"]] == [Block.SWING]
-    assert daemon.request(Request.HOME).accepted
+    assert daemon.request(Request.HOME, never).accepted
 
 
 def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: Calibrate) -> None:
     calibrate(MET, hours=-2.0)
     daemon, link = start()
-    assert daemon.request(Request.ARM).accepted
+    assert daemon.request(Request.ARM, never).accepted
     calibrate(MISSED)
-    refused = daemon.request(Request.ARM)
+    refused = daemon.request(Request.ARM, never)
     assert [block["code"] for block in refused.content["arming_blocks"]] == [
         Block.SWING,
         Block.CALIBRATION_NOT_LOADED,
     ]
     assert "golfbench run" in refused.content["arming_blocks"][1]["action"]
     calibrate(MET, hours=-0.5)  # as the loop has it
-    assert daemon.request(Request.ARM).accepted
+    assert daemon.request(Request.ARM, never).accepted
     assert link.asked == [Request.ARM, Request.ARM]
 
 
 def test_daemon_renewed_calibration_arms_without_restart(start: Start, calibrate: Calibrate) -> None:
     calibrate(MET, hours=-48.0, days=1.0)
     daemon, _ = start()
-    assert [b["code"] for b in daemon.request(Request.ARM).content["arming_blocks"]] == [
+    assert [b["code"] for b in daemon.request(Request.ARM, never).content["arming_blocks"]] == [
         Block.CALIBRATION_EXPIRED
     ]
     calibrate(MET)
-    assert daemon.request(Request.ARM).accepted
+    assert daemon.request(Request.ARM, never).accepted
 
 
 def test_daemon_unreadable_calibrations_block_arming(
@@ -394,11 +395,21 @@ def test_daemon_unreadable_calibrations_block_arming(
     calibrate(MET)
     daemon, _ = start()
     (configuration.bench.data_dir / "golfbench.sqlite").write_bytes(b"not a database" * 100)
-    reply = daemon.request(Request.ARM)
+    reply = daemon.request(Request.ARM, never)
     assert (reply.accepted, [block["code"] for block in reply.content["arming_blocks"]]) == (
         False,
         [Block.UNREADABLE],
     )
+
+
+@pytest.mark.parametrize("request_", [Request.ARM, Request.SWING])
+def test_daemon_request_late_after_assessment_is_refused(
+    start: Start, monkeypatch: pytest.MonkeyPatch, request_: Request
+) -> None:
+    daemon, link = start()
+    monkeypatch.setattr(daemon, "_assess_again", list)
+    reply = daemon.request(request_, lambda: True)
+    assert (reply.accepted, reply.refusal, link.asked) == (False, "TOO_LATE", [])
 
 
 def blocked_status() -> Any:
