@@ -93,7 +93,14 @@ class BenchOperator:
         self._stack.close()
 
     def take_lease(self) -> None:
-        """Take the lease, after that of a dead program or of a person has expired."""
+        """Take the lease, after that of a dead program or of a person has expired.
+
+        Raises:
+            Refused: the bench restarted with a robot of another kind.
+        """
+        if self._held:
+            return
+        require_kind(self.client.status(), simulated=self.simulated)
         deadline = time.monotonic() + READY
         while not self._held:
             try:
@@ -128,11 +135,12 @@ class BenchOperator:
 
         Raises:
             CommandRefused: for what lasts, or for too long.
-            Refused: too slow, without the lease, or another client has disarmed the robot.
+            Refused: too slow, without the lease, a robot of another kind, or another client has disarmed it.
         """
         deadline, held_since, asked = time.monotonic() + READY, np.inf, False
         while True:
             status = self.client.status()
+            require_kind(status, simulated=self.simulated)
             self._armed = status["state"] in _AIR_ON or (self._armed and status["state"] == "READY")
             at_address = status["state"] == "ARMED" and status["phase"] == "HOLD"
             held_since = min(held_since, status["time"]) if at_address else np.inf
@@ -299,6 +307,18 @@ class BenchOperator:
         ):
             self._outcomes[shot] = message
         return message
+
+
+def require_kind(status: BenchStatus, *, simulated: bool) -> None:
+    """Refuse a bench whose robot is not `simulated`, or is, unlike that on which the work began.
+
+    Raises:
+        Refused: it is of the other kind.
+    """
+    if (status["driver"] == "sim") != simulated:
+        found, expected = f"driver {status['driver']}", f"{'a simulated' if simulated else 'a real'} robot"
+        action = "Start the bench with the driver of the beginning (driver.name), or begin again."
+        raise Refused(f"bench {status['bench']}", found, f"{expected}, as at the beginning", action)
 
 
 def _require_passing(refused: CommandRefused, deadline: float) -> None:

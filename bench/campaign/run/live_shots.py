@@ -48,7 +48,7 @@ from bench.campaign.run.shot_source import (
 from bench.campaign.run.simulated_shots import ball_as_hit, monitored, random_of, reported_carry
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
-from bench.network.bench_operator import READY, BenchOperator, NoShot, in_words
+from bench.network.bench_operator import READY, BenchOperator, NoShot, in_words, require_kind
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
@@ -91,14 +91,21 @@ def require_live(
     clubs: Mapping[str, Club],
     status: BenchStatus,
     measured: Measured | None = None,
+    *,
+    simulated: bool | None = None,
 ) -> None:
     """Refuse a plan whose shots the running bench cannot take, even with an operator's help.
 
+    `simulated` is whether the campaign began on a simulated robot; None before its start.
+
     Raises:
-        Refused: the bench fits none of the plan's arms, is held, or does not measure the plan's quantity; it
-            is simulated and vents between swings, which the gate excludes without planned air; or the plan
-            does not name the carry it compares, or a ball's aerodynamics were not `measured`.
+        Refused: the bench is of another kind than at the beginning, fits none of the plan's arms, is held, or
+            does not measure the plan's quantity; it is simulated and vents between swings, which the gate
+            excludes without planned air; or the plan does not name the carry it compares, or a ball's
+            aerodynamics were not `measured`.
     """
+    if simulated is not None:
+        require_kind(status, simulated=simulated)
     location, lease = f"plan {plan.campaign.name}", status["lease"]
     if lease is not None and not lease["holder"].startswith(CAMPAIGN_HOLDER):
         location = f"bench {status['bench']}"
@@ -151,15 +158,15 @@ class LiveShots(ShotSource):
         """
         self._plan, self._swings, self._clubs = plan, swings, clubs
         self._client, self.simulated, self._air = client, entry.simulated, air
-        self._requests = {"aborted": aborted, "interrupted": interrupted}
-        """Requests to end the campaign, for each operator of the bench."""
+        self._aborted, self._interrupted = aborted, interrupted
         self._operator = BenchOperator(
             client,
             f"{CAMPAIGN_HOLDER}{entry.id}"[:MAX_HOLDER_LENGTH],
             simulated=entry.simulated,
             ask_person=_left_to_person,
             on_reset=self._note_reset,
-            **self._requests,
+            aborted=aborted,
+            interrupted=interrupted,
         )
         self._ordered: tuple[tuple[float, ...], int] = (), 0
         """Weights requested from the bench, and its number of the correction."""
@@ -355,7 +362,8 @@ class LiveShots(ShotSource):
                 *(self._client, problem, "encoders+model", lambda text: None),
                 with_ball=False,
                 ask_person=_left_to_person,
-                **self._requests,
+                aborted=self._aborted,
+                interrupted=self._interrupted,
             )
 
         with _suspending():

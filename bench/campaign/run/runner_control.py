@@ -194,9 +194,16 @@ def _warnings(
 
 
 def bench_facts(
-    plan: CampaignPlan, configuration: Configuration, status: BenchStatus, measured: Measured | None = None
+    plan: CampaignPlan,
+    configuration: Configuration,
+    status: BenchStatus,
+    measured: Measured | None = None,
+    *,
+    simulated: bool | None = None,
 ) -> dict[str, Any]:
     """Return the facts a campaign records about the running bench that takes its shots.
+
+    `simulated` is whether the campaign began on a simulated robot; None before its start.
 
     Raises:
         Refused: the bench cannot take them, or is held by another runner or person.
@@ -204,7 +211,8 @@ def bench_facts(
     settings = configuration.bench
     with bench_lock(settings.data_dir, settings.id):
         pass
-    require_live(plan, require_swings(plan, configuration), configuration.clubs, status, measured)
+    profiles = require_swings(plan, configuration)
+    require_live(plan, profiles, configuration.clubs, status, measured, simulated=simulated)
     facts = {name: status[name] for name in ("driver", "profile", "club", "series")}
     return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}
 

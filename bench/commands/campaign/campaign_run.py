@@ -239,12 +239,17 @@ def resume(
                 plan_from_record(entry.plan, location),
                 measured_of(entry.calibrations, location),
             )
-            facts = _bench_facts(begun, configuration, measured, store)
+            facts = _bench_facts(begun, configuration, measured, store, simulated=entry.simulated)
         _run(store, entry, configuration, outputs, facts, ask=ask_, by=by)
 
 
 def _bench_facts(
-    plan: CampaignPlan, configuration: Configuration, measured: Measured, store: CampaignStore
+    plan: CampaignPlan,
+    configuration: Configuration,
+    measured: Measured,
+    store: CampaignStore,
+    *,
+    simulated: bool | None = None,
 ) -> dict[str, Any]:
     """Return the facts to record about the running bench; it can swing `plan`."""
     from bench.campaign.run.plan_requirements import calibration_versions
@@ -255,7 +260,7 @@ def _bench_facts(
     if configuration.notifications.file:
         read_services(Path(configuration.notifications.file))
     with BenchClient.connect(configuration) as client:
-        facts = bench_facts(plan, configuration, client.status(), measured)
+        facts = bench_facts(plan, configuration, client.status(), measured, simulated=simulated)
     clubs, now = plan.design.clubs, datetime.now(UTC)
     versions = calibration_versions(store.database, configuration, clubs, now)
     return {**facts, "calibrations": versions}

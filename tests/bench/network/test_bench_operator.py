@@ -90,6 +90,7 @@ def test_begin_swing_permanent_refusal_is_raised_immediately(refusal: Refusal) -
 
 def test_rest_at_address_real_bench_releases_lease_for_person() -> None:
     bench = RestingBench()
+    bench.state["driver"] = "canopen"
     ways = iter(["SAFE", "SAFE", "HOMING", "ARMED", "ARMED", "ARMED"])
     still, todo = bench.status, list[str]()
 
@@ -249,3 +250,15 @@ def test_rest_at_address_after_vented_swing_release_or_reset_arms() -> None:
     bench.vent("FAULT", "GUARD")
     operator.rest_at_address()
     assert bench.asked.count("arm") == 4
+
+
+@pytest.mark.parametrize(("driver", "simulated"), [("canopen", True), ("sim", False)])
+def test_rest_at_address_robot_of_other_kind_is_refused(driver: str, simulated: bool) -> None:
+    bench = DisarmableBench()
+    bench.vent("FAULT", "GUARD")
+    bench.state["driver"] = driver
+    with pytest.raises(Refused) as refusal:
+        operator_of(bench, simulated=simulated).rest_at_address()
+    assert refusal.value.found == f"driver {driver}"
+    assert refusal.value.expected.startswith("a simulated robot" if simulated else "a real robot")
+    assert bench.asked == []

@@ -234,6 +234,8 @@ class StandingBench:
             "supply_pressure_pa": 8.0e5,
             "correction": 0,
             "drift": [],
+            "bench": "b",
+            "driver": "sim",
             **status,
         }
 
@@ -308,9 +310,23 @@ def take(plan: CampaignPlan, bench: Any, *, simulated: bool, interrupted: Any = 
 
 @pytest.mark.parametrize("state", ["ESTOP", "FAULT", "SAFE", "ACCESS"])
 def test_live_shots_stopped_real_bench_suspends(plan: CampaignPlan, state: str) -> None:
-    bench = StandingBench(state=state, cause={"name": "GUARD", "text": "guard open"})
+    bench = StandingBench(state=state, driver="canopen", cause={"name": "GUARD", "text": "guard open"})
     with pytest.raises(Suspended, match=r"resume"):
         take(plan, bench, simulated=False)
+    assert bench.asked == []
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+@pytest.mark.parametrize("state", ["FAULT", "SAFE", "READY", "ACCESS"])
+def test_live_shots_robot_of_other_kind_suspends(plan: CampaignPlan, state: str, simulated: bool) -> None:
+    """The bench restarted with another driver; a simulated one is reset and homed by the campaign."""
+    driver = "canopen" if simulated else "sim"
+    bench = StandingBench(state=state, driver=driver, cause={"name": "GUARD", "text": "guard open"})
+    with shots_of(plan, bench, simulated=simulated) as source:
+        with pytest.raises(Suspended, match=f"driver {driver}"):
+            source.take(a_step(), 1, 1)
+        with pytest.raises(Suspended, match=f"driver {driver}"):
+            source.resume_after_access(PromptKind.CLUB, print)
     assert bench.asked == []
 
 
@@ -338,7 +354,7 @@ def test_live_shots_interrupt_before_swing_prevents_swing(plan: CampaignPlan) ->
 def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
     profiles = assessed()
 
-    def require(plan: CampaignPlan = plan, **status: Any) -> None:
+    def require(plan: CampaignPlan = plan, simulated: bool | None = None, **status: Any) -> None:
         given: Any = {
             "driver": "sim",
             "profile": "default",
@@ -348,9 +364,13 @@ def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
             "lease": None,
             "launch_monitor": None,
         }
-        require_live(plan, profiles, SHIPPED.clubs, given | status)
+        require_live(plan, profiles, SHIPPED.clubs, given | status, simulated=simulated)
 
     require()
+    require(simulated=True)
+    for driver, simulated in (("canopen", True), ("sim", False)):
+        with pytest.raises(Refused, match=f"driver {driver}"):
+            require(driver=driver, simulated=simulated)
     require(series=False)
     with pytest.raises(Refused, match=r"profile thesis"):
         require(profile="thesis")
@@ -529,7 +549,8 @@ def test_resume_after_access_guard_open_suspends_after_one_minute(
 def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench, asked = Doors(access=[Refusal.NOT_VENTED, *[Refusal.GAUGE] * 8]), list[str]()
+    refusals, asked = [Refusal.NOT_VENTED, *[Refusal.GAUGE] * 8], list[str]()
+    bench = Doors(access=refusals, driver="canopen")
     use_clock(monkeypatch, bench)
     with shots_of(plan, bench, simulated=False) as source:
         source.grant_access(PromptKind.CLUB, asked.append)
@@ -546,7 +567,8 @@ def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
 
 @pytest.mark.parametrize("simulated", [False, True])
 def test_work_before_arming_access_of_earlier_run_opens_supply(plan: CampaignPlan, simulated: bool) -> None:
-    with shots_of(plan, Doors(state="ACCESS"), simulated=simulated) as source:
+    bench = Doors(state="ACCESS", driver="sim" if simulated else "canopen")
+    with shots_of(plan, bench, simulated=simulated) as source:
         for earlier in (True, False):
             source.grant_access(PromptKind.CLUB, print)
             source.resume_after_access(PromptKind.CLUB, print)
