@@ -57,8 +57,12 @@ def run(
     largest: Any,
     openings: Any,
     acceleration: Any,
-) -> None:
+    look: int,
+) -> int:
     """Run len(requests) ticks; `requests` (n,) u1 go to the step, `cycles` (n,) CYCLE are written.
+
+    With `look` > 0 the run ends before every `look`-th tick at which the robot holds its address or stands.
+    Returns the number of ticks.
 
     With `faults` (Faults) between plant and step `robot` and `plant` may also break, and a tick without the
     loop leaves a record of zeros except for the plant's truth. `largest` notes deviations wherever the
@@ -67,6 +71,8 @@ def run(
     """
     period = plant[0].tick
     for k in range(len(requests)):
+        if look > 0 and k % look == 0 and holds_or_stands(state.control[0]):
+            return k
         time, loop_up = (first_tick + k) * period, True
         s, cycle = state.control[0], cycles[k : k + 1]
         if faults is None:
@@ -95,6 +101,14 @@ def run(
             deliver_command(faults, plant, command, loop_up)
             break_parts(faults, robot, plant, plant_state)
             advance(robot, plant, impact, plant_state, faults.sent)
+    return len(requests)
+
+
+@compiled
+def holds_or_stands(s: Any) -> bool:
+    """Return whether the robot stands, or holds its address without swing and reaction."""
+    holds: bool = s.phase == Phase.HOLD and not s.swinging and s.reaction == Reaction.NONE
+    return holds or s.phase == Phase.STANDING
 
 
 @compiled
@@ -169,12 +183,15 @@ class Lockstep:
         other.readings, other.command = self.readings.copy(), self.command.copy()
         return other
 
-    def advance(self, ticks: int, request: int = 0) -> np.ndarray:
-        """Run `ticks` ticks with `request` in the first; return their CYCLE records."""
+    def advance(self, ticks: int, request: int = 0, look: int = 0) -> np.ndarray:
+        """Run `ticks` ticks with `request` in the first; return their CYCLE records.
+
+        With `look`, only to the first multiple of it (ticks) at which the robot holds its address or stands.
+        """
         requests = np.zeros(ticks, np.uint8)
         if ticks:
             requests[0] = request
-        return self._run(requests)
+        return self._run(requests, look=look)
 
     def play(self, openings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Apply `openings` (n, 3) while the step listens; return records and estimated accelerations."""
@@ -187,9 +204,10 @@ class Lockstep:
         requests: np.ndarray,
         openings: np.ndarray | None = None,
         acceleration: np.ndarray | None = None,
+        look: int = 0,
     ) -> np.ndarray:
         cycles = new_record(CYCLE, len(requests))
-        run(
+        ticks = run(
             *self.plant.records,
             self.plant_state,
             self.state,
@@ -203,9 +221,10 @@ class Lockstep:
             self.largest,
             openings,
             acceleration,
+            look,
         )
-        self.tick += len(requests)
-        return cycles
+        self.tick += ticks
+        return cycles[:ticks]
 
     def make_passive(self) -> None:
         """Hold the passive command until the next tick."""

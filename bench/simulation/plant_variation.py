@@ -254,7 +254,7 @@ def healthy_run(
             request, at = 0, tick
             if tick in instants and not bench.cause:
                 trial.stop(stepper)
-        bench.run_until(bench.holding, RETURN_TIMEOUT)
+        bench.run_to_hold(RETURN_TIMEOUT)
         if bench.cause:
             break
     return HealthyRun(largest, bench.cause, trial.number, tuple(trial.escalated))

@@ -190,7 +190,7 @@ class PoweredBench:
         """Tee `ball` up, swing, return to address, and collect the result."""
         engine = self.engine
         begun = self.begin(ball)
-        back = begun and engine.run_until(engine.holding, self.bench.profile.duration + RETURN_TIMEOUT)
+        back = begun and engine.run_to_hold(self.bench.profile.duration + RETURN_TIMEOUT)
         interrupted = engine.stop()
         if interrupted or not back:
             engine.rest()

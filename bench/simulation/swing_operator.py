@@ -30,6 +30,8 @@ RETURN_TIMEOUT = 10.0
 """Max time from the end of a profile back to its address (s)."""
 STANDSTILL_TIMEOUT = 6.0
 """Max time from a stop to standstill (s)."""
+_LOOKS = 10
+"""Looks at the phase in compiled code between two looks at `stop`."""
 
 
 AnyStepper = TypeVar("AnyStepper", bound=Stepper)
@@ -95,6 +97,10 @@ class SwingOperator(Generic[AnyStepper]):
     def run_until(self, reached: Callable[[], bool], longest: float) -> bool:
         """Run as `wait_for` does, but no longer than to a standstill."""
         return self.wait_for(lambda: reached() or self.phase is Phase.STANDING, longest) and reached()
+
+    def run_to_hold(self, longest: float) -> bool:
+        """Run until the robot holds its address, as `run_until` does."""
+        return self.run_until(self.holding, longest)
 
     # Records -------------------------------------------------------------------------------------------
 
@@ -162,7 +168,7 @@ class SwingOperator(Generic[AnyStepper]):
 
     def reach_address(self, *, at_rest: bool = True) -> bool:
         """Wait until the armed robot holds its address, as `arm` does."""
-        if self.run_until(self.resting if at_rest else self.holding, ARMING_TIMEOUT):
+        if self.run_until(self.resting, ARMING_TIMEOUT) if at_rest else self.run_to_hold(ARMING_TIMEOUT):
             return True
         if self.stop():
             self.rest()
@@ -237,6 +243,17 @@ class LockstepEngine(SwingOperator[Lockstep]):
     def plant_state(self) -> NDArray[Any]:
         """State of the plant, one PLANT_STATE record."""
         return self.stepper.plant_state
+
+    def run_to_hold(self, longest: float) -> bool:
+        """Run until the robot holds its address, as `run_until` does, most looks in compiled code."""
+        left = round(longest / self.period / self._look) * self._look
+        while left > 0 and not self.stop():
+            ticks = min(left, _LOOKS * self._look)
+            self._kept.append(self.stepper.advance(ticks, look=self._look))
+            if len(self._kept[-1]) < ticks:
+                break
+            left -= ticks
+        return self.holding()
 
     def reset_peaks(self) -> None:
         """Reset the loads."""

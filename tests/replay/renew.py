@@ -30,8 +30,8 @@ _RETURN_TICKS = 100
 """Kept of the way back."""
 _BRAKE_TICKS = 300
 """Kept of the stop."""
-_LOOKS_BEFORE_STOP = range(200, 1500, 10)
-"""Looks at Ctrl-C, one in 20 ms, before it comes, tried in turn: it is to come in the backswing."""
+_LOOKS_BEFORE_STOP = range(100, 1500)
+"""Looks at Ctrl-C, one in 200 ms of a swing, before it comes, tried in turn: in the backswing."""
 
 _UNDER_WAY = 400
 """Ticks of the backswing after which it is under way."""

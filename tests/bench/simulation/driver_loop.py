@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from bench.base.clock import FreeClock
 from bench.control.step_records import ControlParameters
-from bench.loop.loop import Loop
+from bench.loop.loop import Cycles, Loop
+from bench.simulation.lockstep import holds_or_stands
+from bench.simulation.swing_operator import joined
 from sim.driver import SimDriver
 from sim.plant import Plant
 
@@ -21,3 +23,12 @@ class DriverLoop(Loop):
         clock = FreeClock(plant.parameters.tick)
         super().__init__(driver, parameters, clock, name="sim", note_truth=driver.note_truth)
         self.plant, self.plant_state = plant, driver.plant_state
+
+    def advance(self, ticks: int, request: int = 0, look: int = 0) -> Cycles:
+        """Run `ticks` ticks, with `look` to the first multiple at which the robot holds or stands."""
+        if not look:
+            return super().advance(ticks, request)
+        parts = list[Cycles]()
+        while len(parts) * look < ticks and not holds_or_stands(self.state.control[0]):
+            parts.append(super().advance(look))
+        return joined(parts)

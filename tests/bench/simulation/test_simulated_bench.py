@@ -233,10 +233,10 @@ def swing_ticks(series: list[SwingResult]) -> int:
 
 @pytest.fixture(scope="module")
 def first_question(robot: SimulatedBench, swing_ticks: int) -> int:
-    """Return the number of the first question in a swing; there is one every 20 ms."""
+    """Return the number of the first question in a swing; there is one every 200 ms."""
     counted = ControlC(lambda: False, NEVER)
     simulate_swing(robot, stop=counted)
-    return counted.asked - swing_ticks // 20
+    return counted.asked - swing_ticks // 200
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def test_simulate_swing_interrupt_stops_swing_and_keeps_record(
 
     def work() -> None:
         with deferred_interrupt() as wish:
-            stop = ControlC(wish.is_made, first_question + round(seconds / 0.02))
+            stop = ControlC(wish.is_made, first_question + round(seconds / 0.2))
             result = simulate_swing(robot, stop=stop)
             write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
             results.append(result)
@@ -285,7 +285,7 @@ def test_command_line_interrupt_exits_with_130(
 ) -> None:
     def swing(*_: object) -> None:
         with deferred_interrupt() as wish:
-            result = simulate_swing(robot, stop=ControlC(wish.is_made, 240))
+            result = simulate_swing(robot, stop=ControlC(wish.is_made, 24))
             write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
 
     monkeypatch.setattr("bench.commands.machine.doctor_bench.probes", swing)  # any command will do
