@@ -10,6 +10,7 @@ unpacking lists, Parquet compresses each channel separately, and a reader may lo
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -151,6 +152,7 @@ CYCLE = np.dtype([(f.name, f.dtype, f.shape) for f in FIELDS], align=True)
 """One cycle as a numpy record: the form of the loop, the ring and compiled code."""
 
 
+@cache
 def arrow_schema() -> pa.Schema:
     """Return the Arrow schema of cycles; each column carries `unit` and `description` as metadata."""
     import pyarrow as pa  # 29 MB, and needed for files and telemetry only

@@ -8,22 +8,27 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import atomic_path
 from bench.base.errors import BenchError
 from bench.records.telemetry.cycle_record import (
     CYCLE,
     ENUMERATIONS,
     FIELDS,
     SCHEMA_VERSION,
+    arrow_schema,
     from_arrow,
     name_columns,
     to_arrow,
 )
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Cycles = np.ndarray[Any, Any]
 
@@ -54,21 +59,30 @@ def write_swing(path: Path, cycles: Cycles, metadata: Mapping[str, Any]) -> None
     text = json.dumps(
         {"schema_version": SCHEMA_VERSION, "enumerations": ENUMERATIONS, **metadata}, allow_nan=False
     )
-    table, names = to_arrow(cycles), name_columns(cycles)
-    for name, column in names.items():
-        about = {"unit": "1", "description": f"name of the code in {name.removesuffix('_name')}"}
-        table = table.append_column(pa.field(name, column.type, metadata=about), column)
-    units = json.dumps({field.name: field.metadata[b"unit"].decode() for field in table.schema})
-    of_file = {METADATA_KEY: text.encode(), UNITS_KEY: units.encode()}
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), **of_file})
-    with atomic_file(path) as stream:
+    columns, names = to_arrow(cycles).columns, name_columns(cycles)
+    schema = _schema(tuple((name, column.type) for name, column in names.items()))
+    schema = schema.with_metadata(arrow_schema().metadata | {METADATA_KEY: text.encode()} | schema.metadata)
+    with atomic_path(path) as partial:  # by its name: a Python stream would take the interpreter's lock
         pq.write_table(
-            table,
-            stream,
+            pa.Table.from_arrays([*columns, *names.values()], schema=schema),
+            str(partial),
             compression="zstd",
             use_dictionary=[*_REPEATED, *names],
             column_encoding=dict.fromkeys(_SPLIT, "BYTE_STREAM_SPLIT"),
         )
+
+
+@cache
+def _schema(names: tuple[tuple[str, pa.DataType], ...]) -> pa.Schema:
+    """Return the schema of a file with columns of `names` of codes; its metadata are all columns' units."""
+    import pyarrow as pa
+
+    schema = arrow_schema()
+    for name, kind in names:
+        about = {"unit": "1", "description": f"name of the code in {name.removesuffix('_name')}"}
+        schema = schema.append(pa.field(name, kind, metadata=about))
+    units = json.dumps({field.name: field.metadata[b"unit"].decode() for field in schema})
+    return schema.with_metadata({UNITS_KEY: units.encode()})
 
 
 class SwingRecord(NamedTuple):
