@@ -53,7 +53,7 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
 from bench.network.status_words import absent_monitor_text
-from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
+from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, flown, plant_of
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
 from bench.records.shot.strike import ball_struck
@@ -455,7 +455,7 @@ class LiveShots(ShotSource):
             true = strike(delivery, club, ball)
         except ValueError as error:
             return MonitorResult(None, f"no launch: {error}")
-        carry = reported_carry(self._plan, number, true, ball, around)
+        carry = reported_carry(self._plan, number, flown(true, ball, around))
         seen = monitored(self._plan.simulation, true, draws[2:])
         record = LaunchRecord(0.0, "", number, *seen, carry=carry, source="simulated")
         return MonitorResult(record)

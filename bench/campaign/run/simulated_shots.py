@@ -33,6 +33,7 @@ from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
 from drivers.launch_monitor.record import LaunchRecord, Match, MatchOutcome, MatchWindow, SwingImpact, match
 from sim.ball import Ball
+from sim.flight import Flight
 from sim.plant import PlantParameters
 from sim.simulated_monitor import MonitorParameters, monitor_messages
 
@@ -94,19 +95,15 @@ def monitored(s: Simulation, launch: Launch, noise: np.ndarray) -> Launch:
     )
 
 
-def reported_carry(
-    plan: CampaignPlan, number: int, launch: Launch, ball: Ball, around: FlightConditions
-) -> float | None:
+def reported_carry(plan: CampaignPlan, number: int, true: Flight | None) -> float | None:
     """Return the carry (m) that the simulated launch monitor reports of shot `number`: the true one, noisy.
 
-    `launch` is the true one of `ball`; None if it does not fly.
+    None without a flight.
     """
-    noise = float(np.random.default_rng((plan.design.seed, _CARRIES, number)).standard_normal())
-    try:
-        carry = around.fly(launch, ball).carry
-    except ValueError:
+    if true is None:
         return None
-    return max(0.0, carry + plan.simulation.carry * noise)
+    noise = float(np.random.default_rng((plan.design.seed, _CARRIES, number)).standard_normal())
+    return max(0.0, true.carry + plan.simulation.carry * noise)
 
 
 class SimulatedShots(ShotSource):
@@ -175,7 +172,7 @@ class SimulatedShots(ShotSource):
         around, time = FlightConditions(c.air, c.wind, c.turf), self.time_of(number)
         status, reason, delivery = result.status, result.reason, result.delivery
         row = shot_row(step, number, sample, time, status, reason, delivery=delivery, air=c.air)
-        heard = self._heard(number, result, ball, around, draws[2:])
+        heard = self._heard(number, result, draws[2:])
         shot = with_launch(row, heard, self._plan, self._measured, around, ball)
         varied = {
             "restitution_factor": ball.restitution_factor,
@@ -187,15 +184,13 @@ class SimulatedShots(ShotSource):
             shot, result.cycles, metadata, result.launch is not None, tuple(events), result.interrupted
         )
 
-    def _heard(
-        self, number: int, result: SwingResult, ball: Ball, around: FlightConditions, noise: np.ndarray
-    ) -> MonitorResult:
+    def _heard(self, number: int, result: SwingResult, noise: np.ndarray) -> MonitorResult:
         """Return the report of the simulated launch monitor; empty without a launch."""
         if result.launch is None:
             return MonitorResult()
         speed = None if result.delivery is None else result.delivery.speed
         seen = monitored(self._plan.simulation, result.launch, noise)
-        carry = reported_carry(self._plan, number, result.launch, ball, around)
+        carry = reported_carry(self._plan, number, result.flight)
         window = self._configuration.launch_monitor.window
         heard = hear(seen, number, speed, self._monitor, window, carry)
         launch = heard.launch and replace(heard.launch, source="simulated")

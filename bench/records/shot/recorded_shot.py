@@ -148,7 +148,7 @@ def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> F
     speed, angle, direction, spin, axis = (float(value or 0.0) for value in given)
     launch = Launch(speed, radians(angle), radians(direction), spin * pi / 30, radians(axis))
     modelled = shot.carry_source in {"", "simulated", "model"} or shot.flight_source == "simulated"
-    return _flown(launch, plant.ball if modelled else REFERENCE_BALL, around)
+    return flown(launch, plant.ball if modelled else REFERENCE_BALL, around)
 
 
 def shot_of_cycles(
@@ -166,7 +166,7 @@ def shot_of_cycles(
             launch = strike(delivery, plant.robot.club, plant.ball)
         except ValueError:
             launch = None
-        flight = None if launch is None else _flown(launch, plant.ball, around)
+        flight = None if launch is None else flown(launch, plant.ball, around)
     reason = "" if delivery is not None else "no swing through the ball's place"
     if len(trips) and Cause(int(trips[0])) is not Cause.POWER_UP:
         reason = CAUSE_TEXT[Cause(int(trips[0]))]
@@ -207,7 +207,8 @@ def delivery_in_motion(plant: PlantParameters, pose: Callable[[float], Any]) -> 
         return None
 
 
-def _flown(launch: Launch, ball: Ball, around: FlightConditions) -> Flight | None:
+def flown(launch: Launch, ball: Ball, around: FlightConditions) -> Flight | None:
+    """Return the flight of `ball`; None if it cannot be flown."""
     try:
         return around.fly(launch, ball)
     except ValueError:
