@@ -157,8 +157,9 @@ def sample_for(plan: CampaignPlan, trial: PlannedShot, hits: Counter[Hit]) -> in
         if hits[Hit("ball", ball, number)] < handling.hits:
             return number
     numbers = range(handling.first_sample, handling.first_sample + handling.samples)
-    number = min(numbers, key=lambda sample: (hits[Hit("ball", ball, sample)], sample))
-    return number if hits[Hit("ball", ball, number)] < handling.hits else None
+    counts = [hits.get(Hit("ball", ball, number), 0) for number in numbers]
+    fewest = min(counts)
+    return numbers[counts.index(fewest)] if fewest < handling.hits else None
 
 
 def _coming_trials(plan: CampaignPlan, trial: PlannedShot) -> list[PlannedShot]:

@@ -40,6 +40,7 @@ import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from datetime import UTC, datetime
+from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from math import floor
@@ -126,7 +127,7 @@ def begin_of(cycles: Cycles) -> float:
 
 def since(cycles: Cycles, begin: float) -> Cycles:
     """Return a copy of `cycles` with times from `begin` (s) on; -`begin` gives the loop's times back."""
-    moved: Cycles = np.frombuffer(bytearray(cycles.tobytes()), cycles.dtype)
+    moved: Cycles = np.frombuffer(bytearray(cycles.view(np.uint8)), cycles.dtype)
     moved["time"] -= begin
     moved["encoder_time"] -= begin
     return moved
@@ -162,6 +163,7 @@ def snapshot_entry(snapshot: np.ndarray[Any, Any]) -> dict[str, Any]:
     }
 
 
+@cache
 def layout_of(dtype: np.dtype[Any]) -> str:
     """Return a digest of names, types and places of all fields of `dtype`."""
     return sha256(f"{dtype.itemsize} {dtype.descr}".encode()).hexdigest()[:16]
