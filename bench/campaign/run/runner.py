@@ -36,6 +36,8 @@ BATCH = 50
 
 _LOOK = 0.2
 """Polling interval of the database while paused, s."""
+_TOUCH_PERIOD = 1.0
+"""Time between two signs of life, s."""
 _SETTLED = 3.0
 """Time without hindrance before a suspended campaign continues automatically (s)."""
 _DATABASE_TIMEOUT = 120.0
@@ -102,7 +104,8 @@ class Runner:
         self._noted: list[Event] = []
         """Events before the next shot."""
         self._alive = data_dir / "campaigns" / entry.id / "alive"
-        """Touched at every look: the time of the runner's last sign of life."""
+        """Touched at looks, once a second: the time of the runner's last sign of life."""
+        self._next_touch = 0.0
         self._last: datetime | None = None
         self._block: list[Shot] = []
         """Shots so far of the block in progress."""
@@ -362,6 +365,7 @@ class Runner:
         self._stand(CampaignState.RUNNING, "")  # an open prompt waits for access first
 
     def _fit(self, step: Step, number: int, sample: int) -> None:
+        looked = self._source.simulated  # else last thing before the shot
         while wish := missing(
             self._plan, self._fitting, step, sample, self._hits
         ) or self._source.required_restart(step):
@@ -377,13 +381,15 @@ class Runner:
                 self._source.grant_access(wish.kind, self._ask_also)
                 prompt = self._opened(wish, number)
                 self._wait_for_answer(prompt, wish.kind)
-            self._fitting = self._fitting.with_done(prompt)
+            self._fitting, looked = self._fitting.with_done(prompt), False
         if before := self._withdrawn():
+            looked = False
             self._source.resume_after_access(PromptKind(before.kind), self._ask_also)
             self._stand(CampaignState.RUNNING, "")
         if (work := self._source.work_before_arming()) and not self._requested()[0]:
             self._store.change(self._entry.id, requested="pause", requested_by="")
-        self._obey_requests(work)
+        if work or not looked:
+            self._obey_requests(work)
 
     def _prompt(self, wish: Preparation, number: int, now: datetime) -> Prompt:
         self._asked_so_far += 1
@@ -476,8 +482,10 @@ class Runner:
 
     def _requested(self) -> tuple[str, str]:
         """Return the pending request and who made it; a sign of life."""
-        with suppress(OSError):
-            self._alive.touch()
+        if (now := time.monotonic()) >= self._next_touch:  # a touch waits for the disk
+            self._next_touch = now + _TOUCH_PERIOD
+            with suppress(OSError):
+                self._alive.touch()
         standing = self._store.standing(self._entry.id)
         return standing.requested, standing.requested_by
 
