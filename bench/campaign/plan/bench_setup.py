@@ -157,9 +157,9 @@ def sample_for(plan: CampaignPlan, trial: PlannedShot, hits: Counter[Hit]) -> in
         if hits[Hit("ball", ball, number)] < handling.hits:
             return number
     numbers = range(handling.first_sample, handling.first_sample + handling.samples)
-    counts = [hits.get(Hit("ball", ball, number), 0) for number in numbers]
-    fewest = min(counts)
-    return numbers[counts.index(fewest)] if fewest < handling.hits else None
+    used = {hit.sample: number for hit, number in hits.items() if (hit.kind, hit.name) == ("ball", ball)}
+    number = min(numbers, key=lambda sample: used.get(sample, 0))
+    return number if used.get(number, 0) < handling.hits else None
 
 
 def _coming_trials(plan: CampaignPlan, trial: PlannedShot) -> list[PlannedShot]:
