@@ -61,9 +61,7 @@ def run(
 ) -> int:
     """Run len(requests) ticks; `requests` (n,) u1 go to the step, `cycles` (n,) CYCLE are written.
 
-    With `look` > 0 the run ends before every `look`-th tick at which the robot holds its address or stands.
-    Returns the number of ticks.
-
+    With `look` it ends at a multiple of it at which the robot holds or stands. Returns the number of ticks.
     With `faults` (Faults) between plant and step `robot` and `plant` may also break, and a tick without the
     loop leaves a record of zeros except for the plant's truth. `largest` notes deviations wherever the
     model-based check compares them. `openings` (n, 3) are applied in place of the step's, and `acceleration`
