@@ -199,8 +199,8 @@ def test_rest_at_address_bench_disarmed_by_request_is_refused(series: bool) -> N
 class SwingingBench(DisarmableBench):
     """Vents after each swing; publishes its record."""
 
-    def swing(self) -> None:
-        super().swing()
+    def swing(self, retry_timeout: float) -> None:
+        super().swing(retry_timeout)
         self.vent()
 
     @contextmanager

@@ -369,14 +369,14 @@ def test_machine_server_stop_in_swing_is_refused(
 
 
 @needs_speed
-@pytest.mark.parametrize("field", ["emergency_stop_clear", "guard_closed"])
+@pytest.mark.parametrize("guard", [False, True])
 def test_machine_server_interlock_opened_in_swing_arms_only_by_new_command(
     armed: MachineServer,
     slow: Profile,
     driver: WatchedDriver,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    field: str,
+    guard: bool,
 ) -> None:
     write, ticks = driver.write, [0]
 
@@ -384,7 +384,8 @@ def test_machine_server_interlock_opened_in_swing_arms_only_by_new_command(
         ticks[0] += 1
         if ticks[0] in (3_000, 8_000):
             with SurroundingsWriter(tmp_path) as surroundings:
-                surroundings.change(**{field: ticks[0] == 8_000})
+                shut = ticks[0] == 8_000
+                surroundings.change(emergency_stop_clear=shut or guard, guard_closed=shut or not guard)
         return write(command)
 
     monkeypatch.setattr(driver, "write", interrupt)
