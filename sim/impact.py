@@ -19,7 +19,7 @@ lies off centre along the line in which the swing plane cuts the face: one in-pl
 (`in_plane_error`, positive up the plane), of which `strike_x` and `strike_y` are projections.
 
 Collision: contact lasts 0.45 ms, in which the shaft takes no part: the head is a free rigid body. A club with
-`tangential_stiffness` has the contact of `sim.contact`: springs along and across the face, with friction.
+`tangential_stiffness` has the contact of `sim._contact`: springs along and across the face, with friction.
 Without it (0), Newton's restitution holds along the normal. The friction impulse is the fraction
 `tangential_factor` of the one that would end all slip (the ball rolls at exit, Penner 2001). It is less where
 Coulomb friction does not suffice or where it would gain energy. Restitution is that at an approach of 40 m/s
@@ -38,8 +38,8 @@ import numpy as np
 
 from drivers.base import Launch
 from drivers.base.compiled import compiled, copy_fields, fields, new_record
+from sim._contact import contact_impulse
 from sim.ball import Ball
-from sim.contact import contact_impulse
 from sim.robot import Club
 from sim.vectors import Vector, across_flight, added, cross, dot, norm, scaled, unit
 

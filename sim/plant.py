@@ -3,7 +3,7 @@
 One call of `advance` moves the plant over one tick with a constant command. Inside, fixed substeps:
 the spools by their exact solution, everything else by Runge-Kutta of fourth order with exact sticking
 (`sim.dynamics`); the impact is found inside the substep by root finding and applies the same impulse
-to ball and robot (`sim.tee`). `sense` (`sim.sensors`) computes the sensor readings.
+to ball and robot (`sim._tee`). `sense` (`sim.sensors`) computes the sensor readings.
 Identical inputs and seeds give identical bits.
 """
 
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers.base.compiled import compiled, compiled_with_arrays, copy_fields, fields, new_record
 from drivers.base.ranges import Range
+from sim._tee import find_contact, is_near_ball, strike_ball
 from sim.ball import Ball
 from sim.dynamics import ANGLES, SCRATCH, STATES, head_geometry, move, stop_coordinate, stop_depth
 from sim.ground import SURFACES, SurfaceName
@@ -25,7 +26,6 @@ from sim.impact import impact_parameters
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply
 from sim.robot import Length, RobotParameters
 from sim.sensors import HISTORY
-from sim.tee import find_contact, is_near_ball, strike_ball
 
 Array = NDArray[np.float64]
 

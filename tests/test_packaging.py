@@ -67,8 +67,8 @@ FORBIDDEN = {
             "bench/campaign": "from bench import commissioning",
             "bench/store": "from bench import network",
             "bench/records/telemetry": "from bench.records import shot",
-            "bench/viewer/scene": "from bench.viewer import blueprint",
-            "bench/design/refine": "from bench.design import blind_brake",
+            "bench/viewer/_scene": "from bench.viewer import blueprint",
+            "bench/design/_refine": "from bench.design import _blind_brake",
             "bench/commands/common": "from bench.commands import swing",
             "bench/control/envelope": "from bench.control import step",
             "bench/campaign/plan": "from bench.campaign import run",
@@ -84,8 +84,8 @@ FORBIDDEN = {
             "bench.campaign -> bench.commissioning (l.1)",
             "bench.store -> bench.network (l.1)",
             "bench.records.telemetry -> bench.records.shot (l.1)",
-            "bench.viewer.scene -> bench.viewer.blueprint (l.1)",
-            "bench.design.refine -> bench.design.blind_brake (l.1)",
+            "bench.viewer._scene -> bench.viewer.blueprint (l.1)",
+            "bench.design._refine -> bench.design._blind_brake (l.1)",
             "bench.commands.common -> bench.commands.swing (l.1)",
             "bench.control.envelope -> bench.control.step (l.1)",
             "bench.campaign.plan -> bench.campaign.run (l.1)",
@@ -141,6 +141,21 @@ def _imports(nodes: Iterable[ast.AST]) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             found.add(node.module.split(".")[0])
     return found - set(sys.stdlib_module_names) - set(PACKAGES)
+
+
+def test_modules_used_in_room_only_have_underscore() -> None:
+    """A reader sees a room's door without opening it; commands are loaded by name."""
+    paths = {path.relative_to(TOP).with_suffix("") for path in _sources()}
+    users: dict[Path, set[Path]] = {path: set() for path in paths}
+    for path in paths:
+        for node in ast.walk(ast.parse((TOP / path).with_suffix(".py").read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                room = Path(*node.module.split("."))
+                for used in {room, *(room / alias.name for alias in node.names)} & paths:
+                    users[used].add(path)
+    for used, by in users.items():
+        if by and Path("bench/commands") not in used.parents and used.name != "__init__":
+            assert used.name.startswith("_") == all(path.parent == used.parent for path in by), (used, by)
 
 
 def test_dependencies_declare_every_import() -> None:

@@ -24,7 +24,7 @@ ROOMS = (
     "bench.campaign.statistics.analysis",
     "bench.campaign.report.campaign_report",
     "bench.campaign.run.runner_control",
-    "bench.campaign.run.simulated_shots",
+    "bench.campaign.run._simulated_shots",
     "bench.commands.swing.records",
     "bench.network.client",
     "bench.network.messages",

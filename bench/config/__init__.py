@@ -8,9 +8,9 @@ from bench.base.configuration_files import (
     shipped_configuration,
     variants_with,
 )
+from bench.config._rules import contradictions, unheard_phases
+from bench.config._settings import Configuration, DriverSettings, LoopSettings, SwingSettings
 from bench.config.files import load_configuration
-from bench.config.rules import contradictions, unheard_phases
-from bench.config.settings import Configuration, DriverSettings, LoopSettings, SwingSettings
 
 __all__ = [
     "DATABASE_FILE",

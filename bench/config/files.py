@@ -35,8 +35,8 @@ from bench.base.from_toml import (
 )
 from bench.base.json_schema import field_docs
 from bench.base.to_toml import toml_value
-from bench.config.rules import RULES
-from bench.config.settings import ClubSite, Configuration
+from bench.config._rules import RULES
+from bench.config._settings import ClubSite, Configuration
 from drivers.base.ranges import short
 
 DERIVED = frozenset({"plant.tick", "plant.ball", "plant.robot.club", "files"})

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
+from bench.control._motion_monitor import monitor_motion, monitor_permission
+from bench.control._standstill_monitor import monitor_standstill
 from bench.control.envelope import interlock_cause, limit, readings_cause, relay_closed
 from bench.control.estimate.air import conductance_of_vents, observe_air
 from bench.control.estimate.encoder import decode_encoders
@@ -23,13 +25,11 @@ from bench.control.law.gain_table import supply_factor
 from bench.control.monitor.position_monitor import index_cause, monitor_guard_lock, monitor_spools
 from bench.control.monitor.pressure_monitor import VENTS, air_fault, monitor_pressures
 from bench.control.monitor.venting_monitor import monitor_exhausts, monitor_manifold
-from bench.control.motion_monitor import monitor_motion, monitor_permission
 from bench.control.moves.braking import brake, brake_blind, wait_passive
 from bench.control.moves.ground_clearance import escape
 from bench.control.moves.homing import bounded
 from bench.control.moves.motion import follow
 from bench.control.requests import execute_request, handle_request, is_released, monitor_local_reset
-from bench.control.standstill_monitor import monitor_standstill
 from bench.control.states import filter_velocity, is_at_rest
 from bench.control.step_records import ControlParameters, ControlState
 from drivers.base.compiled import compiled

@@ -89,7 +89,7 @@ VENTING = _nested(
     ("start", "f8"),  # s: when the vents were opened
     ("timer", "f8"),  # s for which the vents have been without power
 )
-"""Memory of `bench.control.standstill_monitor`."""
+"""Memory of `bench.control._standstill_monitor`."""
 
 SENSORS = _nested(
     ("seen", "u1", (7,)),  # the sensor was once believable

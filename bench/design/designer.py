@@ -7,7 +7,7 @@
    loads (ball struck, missed, or loss of communication) correct the energies that the plan may bring them;
    repeat from 2.
 4. `with_follow_through` makes references and feed-forward for the same downswing in closed loop, and the
-   braking law finds the follow-through; `blind_brake` finds the patterns to stop it without encoders.
+   braking law finds the follow-through; `_blind_brake` finds the patterns to stop it without encoders.
 5. `validate` must find the profile possible on this machine, as `golfbench check` does.
 
 The same input gives the same profile. A demand that cannot be met is refused with the reason.
@@ -28,19 +28,8 @@ from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
 from bench.control.moves.pressure_plan import with_planned_air
 from bench.control.settings import EnvelopeSettings, pid_record
-from bench.design.blind_brake import SPACING, design_blind_brake
-from bench.design.optimal_control import (
-    BAR,
-    NO_CONCESSIONS,
-    STATES,
-    Concessions,
-    DownswingPlan,
-    DownswingProblem,
-    SwingDemand,
-    load_casadi,
-    solve_downswing,
-)
-from bench.design.refine import (
+from bench.design._blind_brake import SPACING, design_blind_brake
+from bench.design._refine import (
     AFTER_CONTACT,
     NEAR,
     SHAFT_DOWN,
@@ -55,6 +44,17 @@ from bench.design.refine import (
     learned_backswing,
     refine,
     with_follow_through,
+)
+from bench.design.optimal_control import (
+    BAR,
+    NO_CONCESSIONS,
+    STATES,
+    Concessions,
+    DownswingPlan,
+    DownswingProblem,
+    SwingDemand,
+    load_casadi,
+    solve_downswing,
 )
 from bench.design.static_checks import profile_faults
 from bench.simulation.safety import stop_shares
@@ -109,7 +109,7 @@ class Downswing(NamedTuple):
     opening: Array
     """(n, 3), one row a tick."""
     wanted: Array
-    """Arrival at the ball as in `bench.design.refine.arrival_errors`."""
+    """Arrival at the ball as in `bench.design._refine.arrival_errors`."""
     plan: DownswingPlan
     trial: ShootingTrial
 

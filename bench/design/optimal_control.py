@@ -8,7 +8,7 @@ the club somewhere else, as it does in shooting. Limits along the way (stops, le
 bounds. The same input gives a bit-identical answer.
 
 The model is that of the plant with derivatives everywhere: dry friction, flow and metering edges are rounded
-off, spools follow at once, stops are bounds. `bench.design.refine` then works on the plant itself.
+off, spools follow at once, stops are bounds. `bench.design._refine` then works on the plant itself.
 """
 
 from __future__ import annotations

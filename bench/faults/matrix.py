@@ -19,7 +19,8 @@ from bench.base.lifecycle import CAUSE_TEXT, Request, State
 from bench.config import Configuration
 from bench.control.settings import SIMULATED, build_controller, holding_pressure
 from bench.control.step_records import ControlParameters, new_control_state
-from bench.faults.case_run import Watch, WatchedRun, next_swing
+from bench.faults._case_run import Watch, WatchedRun, next_swing
+from bench.faults._verdict import CaseLimits, CaseOutcome, judge_case
 from bench.faults.catalogue import (
     ACCESS,
     CATALOGUE,
@@ -33,7 +34,6 @@ from bench.faults.catalogue import (
     irrelevant,
     stopped_instants,
 )
-from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import SafetyLimits
 from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep

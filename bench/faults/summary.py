@@ -27,9 +27,9 @@ import jinja2
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.config import Configuration
+from bench.faults._verdict import CaseOutcome
 from bench.faults.catalogue import FAMILIES, HARDWARE, phase_name
 from bench.faults.matrix import Skipped
-from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile
 from drivers.base.machine_code import source_digest
 from sim.faults import MEANINGS, sort_of

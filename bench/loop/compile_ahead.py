@@ -18,7 +18,7 @@ from functools import cache
 from bench.base.process import end_with, import_path
 from bench.control.step import decide_tick, estimate_tick, limit_tick
 from bench.control.step_records import new_control_state
-from bench.loop.compiled_tick import empty_parameters
+from bench.loop._compiled_tick import empty_parameters
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base.compile_report import announce_compilation, report_compilation
 from drivers.base.compiled import IS_PLAIN, new_record

@@ -13,7 +13,7 @@ from bench.base.clock import Clock
 from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.control.states import latch_exception
 from bench.control.step_records import ControlParameters, ControlState, new_control_state
-from bench.loop.compiled_tick import AT_DECIDE, AT_NOTE_TRUTH, AT_READ, AT_WRITE, OVER, CompiledTick
+from bench.loop._compiled_tick import AT_DECIDE, AT_NOTE_TRUTH, AT_READ, AT_WRITE, OVER, CompiledTick
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import ABSENT, PASSIVE, Command, Driver, DriverError, RecordReader
 from drivers.base.compiled import new_record, numbers

@@ -43,6 +43,8 @@ from bench.network.zenoh_session import close_session, open_daemon
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication
 from bench.records.telemetry.swing_metadata import run_id, versions
+from bench.supervisor._loop_link import LoopLink
+from bench.supervisor._timing_record import TimingReader, summary
 from bench.supervisor.child_process import (
     TIMING_FILE,
     Child,
@@ -52,7 +54,6 @@ from bench.supervisor.child_process import (
     PublisherPlan,
     RecorderPlan,
 )
-from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import Ownership, take_bench
 from bench.supervisor.readiness import arming_block, assess, assess_bench
 from bench.supervisor.status import (
@@ -67,7 +68,6 @@ from bench.supervisor.status import (
     supervisor_note,
     watchdog_interval,
 )
-from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import basis_of, digest_of
 from drivers.launch_monitor.open_connect import club_code
 

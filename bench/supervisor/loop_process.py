@@ -36,6 +36,9 @@ from bench.loop.loop import Cycle
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.telemetry.encoder_preset import Shifts, moved_zero, write_shifts
 from bench.records.telemetry.ring import RingWriter, ring_capacity
+from bench.supervisor._supervision import SUPERVISION_FILE, CorrectionReader, Orders
+from bench.supervisor._tick_timing import TickTiming, check_budget, create_timing, new_timing
+from bench.supervisor._timing_record import Stall
 from bench.supervisor.child_process import (
     RING_FILE,
     SNAPSHOT_FILE,
@@ -48,9 +51,6 @@ from bench.supervisor.child_process import (
 )
 from bench.supervisor.ownership import adopt
 from bench.supervisor.real_time import real_time
-from bench.supervisor.supervision import SUPERVISION_FILE, CorrectionReader, Orders
-from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing, new_timing
-from bench.supervisor.timing_record import Stall
 from drivers.base import Driver, DriverError
 from drivers.base.compile_report import progress
 from drivers.base.compiled import new_record, numbers

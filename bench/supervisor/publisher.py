@@ -30,6 +30,7 @@ from bench.network.zenoh_session import close_session, open_client
 from bench.records.telemetry.batches import encode_batch
 from bench.records.telemetry.cycle_record import MAX_BATCH_CYCLES
 from bench.records.telemetry.ring import RingReader
+from bench.supervisor._timing_record import TimingReader, summary
 from bench.supervisor.child_process import (
     RING_FILE,
     TIMING_FILE,
@@ -39,7 +40,6 @@ from bench.supervisor.child_process import (
     begin_service,
     send_event,
 )
-from bench.supervisor.timing_record import TimingReader, summary
 
 PERIOD = 0.02
 """Period of the batches, s."""

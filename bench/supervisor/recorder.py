@@ -42,6 +42,7 @@ from bench.records.telemetry.record_file import (
 from bench.records.telemetry.ring import RingReader
 from bench.records.telemetry.swing_cutter import Cycles, RecordSegment, SwingSegmenter
 from bench.records.telemetry.swing_metadata import begin_of, profile_entry, run_entries, since, swing_metadata
+from bench.supervisor._timing_record import TimingReader, summary
 from bench.supervisor.child_process import (
     CORRECTED,
     CORRECTED_FILE,
@@ -55,7 +56,6 @@ from bench.supervisor.child_process import (
     send_event,
     weights_of,
 )
-from bench.supervisor.timing_record import TimingReader, summary
 from drivers.base.shared_memory import SharedRecord
 
 POLL = 0.01

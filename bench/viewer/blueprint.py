@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
-from bench.viewer.scene import TIMELINE
+from bench.viewer._scene import TIMELINE
 from sim.vectors import Vector
 
 _SKY = (203, 217, 230)

@@ -31,10 +31,10 @@ from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING, time_at_ball
 from bench.records.telemetry.cycle_record import FIELDS
 from bench.records.telemetry.record_file import SwingRecord
+from bench.viewer._scene import COLOURS, Array, Scene, bench_time
+from bench.viewer._shots import ShotSeries
 from bench.viewer.blueprint import Span, campaign_blueprint, shot_blueprint
 from bench.viewer.drawing.drawing import plane_to_golf
-from bench.viewer.scene import COLOURS, Array, Scene, bench_time
-from bench.viewer.shots import ShotSeries
 from sim.plant import PlantParameters
 
 _BODY = ("trail_shoulder", "lead_shoulder", "lead_arm", "lead_wrist")

@@ -25,9 +25,9 @@ from bench.records.shot.recorded_shot import (
 from bench.records.shot.shot import ShotRecord
 from bench.records.shot.strike import SWINGING
 from bench.records.telemetry.cycle_record import CYCLE
+from bench.viewer._scene import TIMELINE, Array, Cycles, Scene, bench_time, signals_of
+from bench.viewer._shots import ShotSeries
 from bench.viewer.feed import Arrived, Feed
-from bench.viewer.scene import TIMELINE, Array, Cycles, Scene, bench_time, signals_of
-from bench.viewer.shots import ShotSeries
 from sim.plant import PlantParameters
 
 _BEHIND = 0.001

@@ -20,11 +20,13 @@ from bench.calibration.calibration import apply
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.supervisor.child_process import RING_FILE
 from bench.supervisor.ownership import bench_folder
-from bench.web.answers import Downloads, InvalidBody, UnknownName, json_answer
-from bench.web.bench_link import BenchLink, PageBroadcaster, TopicPoller
-from bench.web.campaign_service import CampaignService
-from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
-from bench.web.last_swing import SwingReader
+from bench.web._answers import Downloads, InvalidBody, UnknownName, json_answer
+from bench.web._bench_link import BenchLink, PageBroadcaster, TopicPoller
+from bench.web._campaign_service import CampaignService
+from bench.web._command_line import BackgroundCommand, CommandLine, ViewerProcess
+from bench.web._last_swing import SwingReader
+from bench.web._page_service import Call, PageService, Pool
+from bench.web._start_service import CommissioningService, PlanCatalogue, StartService
 from bench.web.page_access import (
     Application,
     PageAddress,
@@ -34,8 +36,6 @@ from bench.web.page_access import (
     http_protocol,
     page_access,
 )
-from bench.web.page_service import Call, PageService, Pool
-from bench.web.start_service import CommissioningService, PlanCatalogue, StartService
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -2,7 +2,7 @@
 
 A tick: send SYNC, receive three positions, decide, send one command. Frames have precomputed identifiers and
 are received and sent in the loop's own thread; `read` waits at most `sync_timeout` for positions. The startup
-(`drivers.canopen.setup`) may take some tenths of a second.
+(`drivers.canopen._setup`) may take some tenths of a second.
 
 Errors are counted (`counters`) and have one of three outcomes:
 
@@ -40,23 +40,8 @@ from drivers.base.compiled import IS_PLAIN, new_record, numbers
 from drivers.base.native import NativeCall, NativeCalls
 from drivers.base.records import COMMAND, READINGS, pack_command, unpack_command, unpack_readings
 from drivers.can_bus import ERROR, FRAME
-from drivers.canopen.frames import (
-    EMERGENCY,
-    EMERGENCY_LENGTH,
-    HEARTBEAT,
-    MAX_LOAD,
-    NMT,
-    SDO_RESPONSE,
-    TPDO1,
-    TPDO2,
-    analogue_groups,
-    beat_period,
-    bus_load,
-    frame,
-    max_rate,
-)
-from drivers.canopen.link import BusCounters, FrameLink, SocketcanLink, open_link, whole_frame
-from drivers.canopen.native_tick import (
+from drivers.canopen._link import BusCounters, FrameLink, SocketcanLink, open_link, whole_frame
+from drivers.canopen._native_tick import (
     ALL,
     COUNTED,
     IS_SUPPORTED,
@@ -80,10 +65,25 @@ from drivers.canopen.native_tick import (
     words_of,
     write_native,
 )
-from drivers.canopen.scaling import read_zero_shift
-from drivers.canopen.services import Node
+from drivers.canopen._scaling import read_zero_shift
+from drivers.canopen._services import Node
+from drivers.canopen._setup import set_up_encoder, set_up_valve_node
+from drivers.canopen.frames import (
+    EMERGENCY,
+    EMERGENCY_LENGTH,
+    HEARTBEAT,
+    MAX_LOAD,
+    NMT,
+    SDO_RESPONSE,
+    TPDO1,
+    TPDO2,
+    analogue_groups,
+    beat_period,
+    bus_load,
+    frame,
+    max_rate,
+)
 from drivers.canopen.settings import CanopenSettings
-from drivers.canopen.setup import set_up_encoder, set_up_valve_node
 
 _START, _STOP, _ENTER_PRE_OPERATIONAL = 1, 2, 128
 """NMT commands."""

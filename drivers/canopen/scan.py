@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 from drivers.base import JOINTS, DriverError
 from drivers.can_bus import FRAME
-from drivers.canopen.frames import HEARTBEAT, NMT, SDO_REQUEST, SDO_RESPONSE, frame
-from drivers.canopen.link import FrameLink, open_link
-from drivers.canopen.scaling import (
+from drivers.canopen._link import FrameLink, open_link
+from drivers.canopen._scaling import (
     describe_scale,
     describe_settings,
     read_scale,
@@ -24,9 +23,8 @@ from drivers.canopen.scaling import (
     wanted_settings,
     wrong_settings,
 )
-from drivers.canopen.services import MISSING, Node, ServiceError
-from drivers.canopen.settings import CanopenSettings
-from drivers.canopen.setup import (
+from drivers.canopen._services import MISSING, Node, ServiceError
+from drivers.canopen._setup import (
     ENCODER_PROFILE,
     ERROR_BEHAVIOUR,
     IO_PROFILE,
@@ -35,6 +33,8 @@ from drivers.canopen.setup import (
     require_position_pdo,
     without_fallback,
 )
+from drivers.canopen.frames import HEARTBEAT, NMT, SDO_REQUEST, SDO_RESPONSE, frame
+from drivers.canopen.settings import CanopenSettings
 
 _ALL_NODES = range(1, 128)
 _READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))

@@ -37,8 +37,8 @@ from drivers.base.compiled import new_record
 from drivers.base.records import unpack_readings
 from drivers.base.shared_memory import SharedMemoryError
 from sim.exchange import PLANT_SURROUNDINGS, PlantFiles, undisturbed
-from sim.nodes.device import OPERATIONAL, SYNC, CanopenDevice
-from sim.nodes.profile_nodes import EncoderNode, ValveNode401
+from sim.nodes._device import OPERATIONAL, SYNC, CanopenDevice
+from sim.nodes._profile_nodes import EncoderNode, ValveNode401
 from sim.nodes.wall_plant import NodesPlan, WallGrid, WallPlant
 
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "canopen"

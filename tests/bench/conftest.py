@@ -50,7 +50,7 @@ Cycles = np.ndarray[Any, Any]
 def _installed_drivers() -> Iterator[None]:
     """List the installed drivers once: each check of a configuration reads all packages for them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.config.rules.entry_points", cache(entry_points))
+        patch.setattr("bench.config._rules.entry_points", cache(entry_points))
         yield
 
 
@@ -261,7 +261,7 @@ def _undrawn() -> Iterator[None]:
         return f'<svg aria-hidden="true" focusable="false" id="{name}"><path d="M 0.0 0.0"/></svg>'
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.campaign.report.campaign_plots.to_svg", placed)
+        patch.setattr("bench.campaign.report._campaign_plots.to_svg", placed)
         yield
 
 

@@ -21,12 +21,12 @@ import numpy as np
 
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.run._simulated_shots import BEGIN, SimulatedShots
 from bench.campaign.run.campaign_control import runner_lock
 from bench.campaign.run.plan_requirements import require_swings
 from bench.campaign.run.runner import Runner
 from bench.campaign.run.runner_control import course_of, new_entry
 from bench.campaign.run.shot_source import Watcher
-from bench.campaign.run.simulated_shots import BEGIN, SimulatedShots
 from bench.config import Configuration, database_url, load_configuration
 from bench.records.shot.shot import shot_table_text
 from bench.simulation.swing_operator import never

@@ -21,10 +21,10 @@ from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.campaign_record import load_record
 from bench.campaign.report.campaign_report import write_campaign_report
 from bench.campaign.report.findings import findings
+from bench.campaign.run._simulated_shots import BEGIN, SimulatedShots
 from bench.campaign.run.plan_requirements import require_swings
 from bench.campaign.run.runner_control import new_entry, run_campaign
 from bench.campaign.run.shot_source import Watcher
-from bench.campaign.run.simulated_shots import BEGIN, SimulatedShots
 from bench.config import database_url, load_configuration
 from bench.records.shot.shot import Shot
 from bench.simulation.swing_operator import never

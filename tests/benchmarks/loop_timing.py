@@ -33,11 +33,11 @@ from bench.base.lifecycle import Request, State
 from bench.commands.bench.simulators import nodes_plan
 from bench.commands.common import progress_bar
 from bench.config import Configuration, load_configuration
+from bench.supervisor._loop_link import LoopLink
+from bench.supervisor._timing_record import SEGMENTS, TIMING, TimingReader, percentile, summary
 from bench.supervisor.child_process import TIMING_FILE, Child, LoopPlan
-from bench.supervisor.loop_link import LoopLink
 from bench.supervisor.ownership import take_bench
 from bench.supervisor.real_time import PRIORITY
-from bench.supervisor.timing_record import SEGMENTS, TIMING, TimingReader, percentile, summary
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from bench.supervisor.tick_timing import TickTiming, new_timing
+from bench.supervisor._tick_timing import TickTiming, new_timing
 from tests.benchmarks.loop_timing import (
     HISTOGRAM_US,
     Latencies,

@@ -10,9 +10,9 @@ import pytest
 
 import bench.swing
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.faults._verdict import CaseOutcome
 from bench.faults.catalogue import Breakage, Event, Instant
 from bench.faults.matrix import Workbench
-from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile, load_profile
 from sim.faults import Fault
 from tests.faults.made_matrix import BREAKAGE, instant

@@ -6,9 +6,9 @@ from dataclasses import replace
 from itertools import cycle
 from typing import Any
 
+from bench.faults._verdict import CaseOutcome
 from bench.faults.catalogue import CATALOGUE, START, Breakage, Instant, instants_of, stopped_instants
 from bench.faults.summary import VERDICTS, summarise
-from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile
 
 BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}

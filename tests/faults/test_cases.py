@@ -8,9 +8,9 @@ from math import nan
 import pytest
 
 from bench.base.lifecycle import Cause
+from bench.faults._verdict import CaseOutcome
 from bench.faults.catalogue import Breakage, Instant
 from bench.faults.matrix import Workbench
-from bench.faults.verdict import CaseOutcome
 from drivers.base import CHAMBERS
 from sim.faults import Fault, Kind
 from tests.compiled_only import needs_speed

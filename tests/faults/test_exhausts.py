@@ -9,9 +9,9 @@ import pytest
 
 from bench.base.lifecycle import Request
 from bench.control.settings import holding_pressure
+from bench.faults._verdict import CaseOutcome
 from bench.faults.catalogue import CATALOGUE
 from bench.faults.matrix import Workbench
-from bench.faults.verdict import CaseOutcome
 from sim.faults import Fault, own_records
 from tests.compiled_only import needs_speed
 from tests.faults.made_matrix import instant

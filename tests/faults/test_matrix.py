@@ -20,6 +20,7 @@ import bench.faults.matrix
 from bench.commands.common import Session
 from bench.commands.machine.faults import app, matrix_page, matrix_table
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.faults._verdict import CaseOutcome
 from bench.faults.catalogue import ACCESS, CATALOGUE, START, Breakage, Instant, instants_of, irrelevant
 from bench.faults.matrix import (
     FaultStudy,
@@ -31,7 +32,6 @@ from bench.faults.matrix import (
     run_matrix,
 )
 from bench.faults.summary import PHASES, hazard_table, matrix_digest, summarise, summary_text
-from bench.faults.verdict import CaseOutcome
 from bench.simulation.sweep import InProcess
 from bench.swing.profile import Profile
 from drivers.base import JOINTS

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.faults.case_run import next_swing
+from bench.faults._case_run import next_swing
+from bench.faults._verdict import CaseOutcome
 from bench.faults.catalogue import Instant
 from bench.faults.matrix import Workbench
 from bench.faults.summary import next_swing_text
-from bench.faults.verdict import CaseOutcome
 from sim.faults import Fault
 from tests.compiled_only import needs_speed
 

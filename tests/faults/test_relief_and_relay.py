@@ -11,9 +11,9 @@ import pytest
 from bench.base.lifecycle import Request
 from bench.config import Configuration, load_configuration
 from bench.control.settings import build_controller
+from bench.faults._verdict import CaseOutcome
 from bench.faults.catalogue import Instant
 from bench.faults.matrix import Workbench
-from bench.faults.verdict import CaseOutcome
 from bench.simulation.plant_variation import healthy_plant, healthy_run
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

@@ -10,8 +10,8 @@ import numba
 import numpy as np
 import pytest
 
+from sim._contact import contact_impulse
 from sim.ball import Ball
-from sim.contact import contact_impulse
 from sim.impact import strike
 from sim.robot import Club
 from tests.sim.deliveries import delivery_from_angles

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND
+from sim._tee import strike_ball
 from sim.dynamics import STATES, head_geometry
 from sim.impact import face_gap, golf_to_plane
 from sim.kane import mass_matrix
 from sim.kinematics import inverse_kinematics, joint_positions
 from sim.plant import Plant, PlantParameters, Shaft, Site, advance, build_plant, initial_state
-from sim.tee import strike_ball
 
 Array = NDArray[np.float64]
 BALL = (0.25, -1.56)

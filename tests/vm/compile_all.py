@@ -11,7 +11,7 @@ from bench.control.settings import build_controller
 from bench.loop.loop import Cycle
 from bench.records.shot.recorded_shot import FlightConditions, warm_up_shots
 from bench.records.telemetry.ring import RingWriter
-from bench.supervisor.tick_timing import TickTiming, new_timing
+from bench.supervisor._tick_timing import TickTiming, new_timing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.canopen.driver import CanopenDriver

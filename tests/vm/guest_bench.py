@@ -30,9 +30,9 @@ from bench.network.client import BenchClient, CommandRefused
 from bench.records.telemetry.ring import RingReader
 from bench.simulation.safety import pressure_shares, stop_shares
 from bench.store.database import open_database
+from bench.supervisor._timing_record import TimingReader
 from bench.supervisor.child_process import RING_FILE, TIMING_FILE
 from bench.supervisor.ownership import bench_folder
-from bench.supervisor.timing_record import TimingReader
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
 from drivers.base.shared_memory import SharedRecord

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.lifecycle import State
 from bench.records.shot.recorded_shot import read_shot
-from bench.supervisor.timing_record import SEGMENTS, summary
+from bench.supervisor._timing_record import SEGMENTS, summary
 from drivers.canopen.frames import bus_load
 from tests.benchmarks.row import Row
 from tests.vm.can_bits import bits_of

@@ -16,8 +16,9 @@ from bench.base.atomic_file import atomic_file
 from bench.campaign.interruptions import software_versions
 from bench.campaign.plan.carry import measured_of
 from bench.campaign.plan.plan import NAMES, levels
-from bench.campaign.report.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
-from bench.campaign.report.campaign_plots import campaign_figures
+from bench.campaign.report._budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
+from bench.campaign.report._campaign_plots import campaign_figures
+from bench.campaign.report._conformity import DECISION_RULE
 from bench.campaign.report.campaign_record import (
     ISSUE,
     NO_DATA,
@@ -27,7 +28,6 @@ from bench.campaign.report.campaign_record import (
     reasons_by_hand,
     record_digests,
 )
-from bench.campaign.report.conformity import DECISION_RULE
 from bench.campaign.report.findings import (
     QUANTITIES,
     Findings,

@@ -20,7 +20,7 @@ import numpy as np
 from bench.base.json_schema import json_value
 from bench.campaign.plan.plan import NAMES, CampaignPlan, levels, reference_level
 from bench.campaign.plan.shot_sequence import Role, sections, tests_by_level
-from bench.campaign.report.conformity import RuleFinding, judge_rules
+from bench.campaign.report._conformity import RuleFinding, judge_rules
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.report.verdicts import Needed, Verdict, section_notes, section_verdicts
 from bench.campaign.statistics.analysis import Comparison, Level, Pair, SectionAnalysis, analyse

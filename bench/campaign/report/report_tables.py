@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from bench.base.errors import Refused
 from bench.campaign.plan.carry import Measured, measured_of
 from bench.campaign.plan.plan import CampaignPlan, ItemParticulars
+from bench.campaign.report._conformity import DECISION_RULE
 from bench.campaign.report.campaign_record import ISSUE, CampaignRecord
-from bench.campaign.report.conformity import DECISION_RULE
 from bench.campaign.report.report_format import UnitSystem, display_unit
 from bench.golfer.comparison import followed_texts
 from bench.records.shot.shot import Shot, ShotStatus

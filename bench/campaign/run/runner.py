@@ -21,7 +21,7 @@ from bench.campaign.plan.bench_setup import Fitting, Preparation, fitting_after,
 from bench.campaign.plan.gate import outside
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Course, Ending, Role, Step
-from bench.campaign.run.corrections import DriftDetector
+from bench.campaign.run._corrections import DriftDetector
 from bench.campaign.run.shot_source import Operator, ShotPostponed, ShotSource, Suspended, Taken, Watcher
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus

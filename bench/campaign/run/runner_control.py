@@ -16,9 +16,10 @@ from bench.campaign.plan.gate import planned_delivery
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import plan_from_record
 from bench.campaign.plan.shot_sequence import Course, course
+from bench.campaign.run._corrections import CampaignCorrections
+from bench.campaign.run._live_shots import LiveShots, require_live
+from bench.campaign.run._simulated_shots import SimulatedShots
 from bench.campaign.run.campaign_control import bench_lock, runner_lock
-from bench.campaign.run.corrections import CampaignCorrections
-from bench.campaign.run.live_shots import LiveShots, require_live
 from bench.campaign.run.plan_requirements import (
     START_SERIES,
     Profiles,
@@ -34,7 +35,6 @@ from bench.campaign.run.plan_requirements import (
 from bench.campaign.run.progress import CampaignProgress
 from bench.campaign.run.runner import BATCH, Runner, RunOutcome
 from bench.campaign.run.shot_source import Operator, ShotSource, Watcher
-from bench.campaign.run.simulated_shots import SimulatedShots
 from bench.campaign.statistics.analysis import decide
 from bench.config import Configuration
 from bench.network.bench_service import BenchStatus

@@ -14,7 +14,7 @@ from bench.campaign.plan.bench_setup import Preparation
 from bench.campaign.plan.carry import Measured, carry_columns
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Step
-from bench.campaign.run.corrections import Drift
+from bench.campaign.run._corrections import Drift
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import Shot, ShotStatus, delivery_columns
 from bench.records.shot.shot_matcher import reported_columns

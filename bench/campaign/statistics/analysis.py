@@ -3,7 +3,7 @@
 Confirmatory: block effects are fixed (`bench.campaign.statistics.block_model`). The control ball corrects
 drift if the plan demands it; covariates of the plan adjust for the delivery. Balls are random where a model
 had more than one, and each level has its own variance, or all share one if most have fewer than three balls
-or shots (`bench.campaign.statistics.unequal_variances`): a statement on a difference holds for balls that
+or shots (`bench.campaign.statistics._unequal_variances`): a statement on a difference holds for balls that
 were not hit, or for "this ball" where there was one only. All pairs of a section err together with the plan's
 level (the distribution of the largest |t|, single step: a pair differs exactly if its joint interval leaves
 out 0); two one-sided tests (TOST), adjusted by Holm, say "the same". Before the plan's end an interim
@@ -26,6 +26,15 @@ import numpy as np
 from bench.campaign.plan.gate import OUTSIDE
 from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role, looks_after, tests_by_level
+from bench.campaign.statistics._unequal_variances import (
+    JointErrors,
+    UnitErrors,
+    UnitLayout,
+    are_pooled,
+    common_errors,
+    together,
+    units_of,
+)
 from bench.campaign.statistics.block_model import (
     Array,
     BlockFit,
@@ -45,15 +54,6 @@ from bench.campaign.statistics.block_model import (
     within_club,
 )
 from bench.campaign.statistics.sample_size import Look, look_now, power_of_shift, same_power_of_error
-from bench.campaign.statistics.unequal_variances import (
-    JointErrors,
-    UnitErrors,
-    UnitLayout,
-    are_pooled,
-    common_errors,
-    together,
-    units_of,
-)
 from bench.records.shot.shot import Shot, ShotStatus
 
 OUTLIER = 3.5

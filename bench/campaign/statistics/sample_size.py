@@ -7,7 +7,7 @@ their number nor their times need be planned.
 
 Power, resolution and size of a test series are predicted by the model that evaluates it. The plan's order
 of shots and its turns of balls give each difference its error and degrees of freedom
-(`bench.campaign.statistics.unequal_variances`); other sizes are scaled from there. A series is balls and
+(`bench.campaign.statistics._unequal_variances`); other sizes are scaled from there. A series is balls and
 shots: many hits of one ball do not replace balls of its model.
 """
 
@@ -26,8 +26,7 @@ from scipy import optimize, special, stats
 
 from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role, block_trials, is_settled, looks_after, sections
-from bench.campaign.statistics.block_model import Array, Codes, enough_mountings, fit_blocks
-from bench.campaign.statistics.unequal_variances import (
+from bench.campaign.statistics._unequal_variances import (
     Draws,
     UnitLayout,
     are_pooled,
@@ -35,6 +34,7 @@ from bench.campaign.statistics.unequal_variances import (
     together,
     units_of,
 )
+from bench.campaign.statistics.block_model import Array, Codes, enough_mountings, fit_blocks
 from bench.records.shot.shot import Shot
 
 _MAX_BLOCKS = 1_000_000

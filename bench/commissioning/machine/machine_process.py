@@ -28,10 +28,10 @@ from typing import Any, cast
 
 from bench.base.clock import GridClock, PacedClock
 from bench.base.errors import BenchError, ExitCode, Refused
+from bench.commissioning.machine._machine_server import MachineServer
 from bench.commissioning.machine.commissioning_step import Mark
 from bench.commissioning.machine.inputs import OperatorIO
 from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
-from bench.commissioning.machine.machine_server import MachineServer
 from bench.config import Configuration
 from bench.simulation.safety import Loads
 from bench.simulation.simulated_bench import Bench, SeriesSwing

@@ -26,7 +26,7 @@ from bench.commissioning.machine.commissioning_step import (
 )
 from bench.commissioning.machine.driver_machine import Stalled
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.swings.short_predictions import (
+from bench.commissioning.swings._short_predictions import (
     PRESSURE,
     QUANTITIES,
     SCATTER,

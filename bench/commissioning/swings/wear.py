@@ -1,6 +1,6 @@
 """Wear of each part, from recorded swings.
 
-Each value that wear changes is fitted to short predictions of a swing (`short_predictions`), all at once. So
+Each value that wear changes is fitted to short predictions of a swing (`_short_predictions`), all at once. So
 a moved centre is not taken for a leak, nor dry friction for a slow spool. It is the recorded configuration's
 value plus a change, whose prior is as wide as wear goes. The limit of a change is half to two thirds of the
 one at which the model-based check stops fault-free swings.
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained, table_rows
+from bench.commissioning.swings._short_predictions import Cycles, RecordedSwing, explained, table_rows
 from bench.control.measured_plant import value_at, with_values
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
 from bench.records.telemetry.record_file import read_swing

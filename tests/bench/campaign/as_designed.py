@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.run.corrections import Arm, CampaignCorrections
+from bench.campaign.run._corrections import Arm, CampaignCorrections
+from bench.campaign.run._simulated_shots import SimulatedShots
 from bench.campaign.run.plan_requirements import Profiles
-from bench.campaign.run.simulated_shots import SimulatedShots
 from bench.swing.profile import Profile
 
 

@@ -11,7 +11,7 @@ import pytest
 from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
-from bench.campaign.run.corrections import Drift, DriftDetector
+from bench.campaign.run._corrections import Drift, DriftDetector
 from bench.records.shot.shot import ShotStatus
 from tests.bench.campaign.plans import row_of, shipped_plan, with_values
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from bench.config._rules import BOUNDS, Bound, check_safety
+from bench.config._settings import Configuration
 from bench.config.files import load_configuration
-from bench.config.rules import BOUNDS, Bound, check_safety
-from bench.config.settings import Configuration
 
 REAL = (
     '[loop]\nrealtime = "require"\n[driver]\nname = "daq"\n[homing]\nmethod = "index"\n'

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.lifecycle import Phase, Reaction, Request, State
-from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
+from bench.supervisor._supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_memory import SharedRecord
 from tests.bench.control.operating import reach

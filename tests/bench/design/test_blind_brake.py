@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.design.blind_brake import _GOOD, _BlindSearch, _Found
+from bench.design._blind_brake import _GOOD, _BlindSearch, _Found
 
 FAR = np.array([0.9, -0.9, 0.5, 0.3, 0.1, 0.2])
 """A pattern that stops the robot, behind a ridge from where searches begin."""

@@ -17,6 +17,7 @@ from bench.config import load_configuration
 from bench.control.moves.pressure_plan import with_planned_air
 from bench.control.settings import pid_record
 from bench.design import designer
+from bench.design._refine import KNOT, Rehearsal, correction, learned_backswing
 from bench.design.designer import (
     DesignFailed,
     SwingDesigner,
@@ -41,7 +42,6 @@ from bench.design.optimal_control import (
     build_equations,
     solve_downswing,
 )
-from bench.design.refine import KNOT, Rehearsal, correction, learned_backswing
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from bench.base.lifecycle import Cause
-from bench.config.settings import Configuration
+from bench.config._settings import Configuration
 from bench.control.residual_thresholds import ENDING
 from bench.control.settings import build_controller
 from bench.simulation.plant_variation import healthy_plant, healthy_run

@@ -17,7 +17,7 @@ import pytest
 from bench.control.settings import build_controller
 from bench.control.step import decide_tick
 from bench.loop import compile_ahead as ahead
-from bench.loop.compiled_tick import empty_parameters
+from bench.loop._compiled_tick import empty_parameters
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import IS_PLAIN

@@ -12,7 +12,7 @@ from bench.base.lifecycle import Request, State
 from bench.control.settings import build_controller
 from bench.control.step import step
 from bench.control.step_records import ControlParameters, ControlState, new_control_state
-from bench.loop.compiled_tick import AT_DECIDE, AT_WRITE, CompiledTick
+from bench.loop._compiled_tick import AT_DECIDE, AT_WRITE, CompiledTick
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

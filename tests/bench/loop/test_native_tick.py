@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from bench.base.lifecycle import Cause, Request
 from bench.control.settings import build_controller
 from bench.control.step_records import ControlParameters
-from bench.loop.compiled_tick import AT_READ, OVER
+from bench.loop._compiled_tick import AT_READ, OVER
 from bench.loop.loop import Cycle, CycleArray
 from bench.records.telemetry.ring import RingReader, RingWriter
 from bench.swing.library import find_profile

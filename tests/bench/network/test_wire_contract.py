@@ -33,9 +33,9 @@ from bench.records.shot.shot_message import ShotPublication, read_shot_message, 
 from bench.records.telemetry.batches import encode_batch, wire_schema
 from bench.records.telemetry.cycle_record import CYCLE, arrow_schema
 from bench.store.rows import CampaignState
+from bench.supervisor._tick_timing import new_timing
+from bench.supervisor._timing_record import summary
 from bench.supervisor.launch_monitor import message_of
-from bench.supervisor.tick_timing import new_timing
-from bench.supervisor.timing_record import summary
 from drivers.launch_monitor.record import ClubFigures, LaunchRecord, MatchOutcome
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from bench.records.telemetry.ring import RingWriter
+from bench.supervisor._tick_timing import create_timing
 from bench.supervisor.child_process import HEARTBEAT, RING_FILE, TIMING_FILE, heartbeat_file
-from bench.supervisor.tick_timing import create_timing
 from drivers.base.shared_memory import SharedRecord
 from tests.waiting import HURRY
 

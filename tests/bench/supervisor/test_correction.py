@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.supervisor._supervision import CorrectionReader
 from bench.supervisor.child_process import (
     CORRECTED,
     CORRECTED_FILE,
@@ -16,7 +17,6 @@ from bench.supervisor.child_process import (
     pack_correction,
     weights_of,
 )
-from bench.supervisor.supervision import CorrectionReader
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

@@ -14,9 +14,9 @@ from bench.base.lifecycle import Answer, Refusal, Request, State
 from bench.control.step_records import CONTROL_STATE
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.ring import RingWriter
+from bench.supervisor._loop_link import LoopLink
+from bench.supervisor._supervision import SUPERVISION_FILE, Orders
 from bench.supervisor.child_process import CORRECTED, CORRECTED_FILE, RING_FILE
-from bench.supervisor.loop_link import LoopLink
-from bench.supervisor.supervision import SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_memory import SharedRecord
 
@@ -100,7 +100,7 @@ def test_loop_link_answer_after_supervisor_stall_is_accepted(
         loop.tick()
         now[0] += 10.0
 
-    monkeypatch.setattr("bench.supervisor.loop_link.time.monotonic", lambda: now[0])
-    monkeypatch.setattr("bench.supervisor.loop_link.time.sleep", stand_still)
+    monkeypatch.setattr("bench.supervisor._loop_link.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("bench.supervisor._loop_link.time.sleep", stand_still)
     assert link.request(Request.SWING).accepted
     assert np.array_equal(loop.done, [Request.SWING])

@@ -18,10 +18,10 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Phase, Request
 from bench.control.step_records import CONTROL_STATE
 from bench.supervisor import loop_process
+from bench.supervisor._supervision import SUPERVISION, SUPERVISION_FILE, Orders
+from bench.supervisor._timing_record import STAMPS, Stall
 from bench.supervisor.child_process import Parent
 from bench.supervisor.loop_process import WARM_UP, LoopProcess, ThreadUsage, stall_between, usage_reader
-from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
-from bench.supervisor.timing_record import STAMPS, Stall
 from drivers.base.compile_report import CompileProgress
 from drivers.base.compiled import new_record
 from drivers.base.shared_memory import SharedRecord

@@ -35,7 +35,7 @@ from bench.simulation.swing_operator import never
 from bench.store.database import open_database
 from bench.supervisor.daemon import Daemon
 from bench.supervisor.readiness import FEEDBACK_ONLY, HALF_BLIND, NO_MODEL_CHECK, assess_bench
-from bench.web.bench_link import state_view
+from bench.web._bench_link import state_view
 from tests.bench.fake_bench_service import FakeDesk
 from tests.conftest import Outcome, Run
 

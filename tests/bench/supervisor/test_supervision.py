@@ -8,7 +8,7 @@ import pytest
 
 from bench.base.lifecycle import Request
 from bench.control.step_records import CONTROL_STATE
-from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
+from bench.supervisor._supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_memory import SharedRecord
 

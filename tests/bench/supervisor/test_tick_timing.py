@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from bench.base.errors import ExitCode, Refused
-from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing, new_timing
-from bench.supervisor.timing_record import (
+from bench.supervisor._tick_timing import TickTiming, check_budget, create_timing, new_timing
+from bench.supervisor._timing_record import (
     BUCKETS,
     LATE,
     SEGMENTS,

@@ -20,8 +20,8 @@ import rerun as rr
 from bench.base.address import free_port
 from bench.base.errors import BenchError
 from bench.viewer import window as window_module
+from bench.viewer._scene import Scene, bench_time
 from bench.viewer.blueprint import live_blueprint
-from bench.viewer.scene import Scene, bench_time
 from bench.viewer.window import LOOPBACK, RerunWindow, quiet_environment, rerun_program
 from sim.plant import PlantParameters
 from tests.bench.records.telemetry.read_recording import Recording

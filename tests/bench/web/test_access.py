@@ -12,7 +12,7 @@ import pytest
 
 from bench.base.address import free_port
 from bench.base.errors import BenchError, Refused
-from bench.web import page_service
+from bench.web import _page_service
 from bench.web.page_access import (
     MAX_SESSIONS,
     SESSION,
@@ -129,7 +129,7 @@ def test_page_access_certificate_name_gives_role() -> None:
 def test_page_sign_in_token_opens_session_with_role(
     running: RunningPlane, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(page_service, "_GUESS_TIME", 0.01)
+    monkeypatch.setattr(_page_service, "_GUESS_TIME", 0.01)
     address = PageAddress(port=free_port(), tokens=both(tmp_path))
     with running_page(running.configuration, address) as page:
         assert page.ask("GET", "/").status == 200

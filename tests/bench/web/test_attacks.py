@@ -13,7 +13,7 @@ import pytest
 
 from bench.base.lifecycle import State
 from bench.web import page_access
-from bench.web.bench_link import MAX_READERS
+from bench.web._bench_link import MAX_READERS
 from tests.bench.fake_bench_service import RunningPlane
 from tests.bench.web.running_page import HURRY, RunningPage
 from tests.bench.web.test_access import FILLED, paths
@@ -227,7 +227,7 @@ def test_request_filter_oversized_chunked_body_is_refused(page: RunningPage) -> 
 
 
 def test_event_text_line_breaks_make_no_extra_event(page: RunningPage) -> None:
-    from bench.web.bench_link import event_text
+    from bench.web._bench_link import event_text
 
     text = event_text("state", {"club": "x\n\nevent: you\ndata: {}\n\n"}).decode()
     assert text.count("\n") == 3

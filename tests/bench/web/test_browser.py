@@ -14,7 +14,7 @@ from bench.base.address import free_port
 from bench.base.lifecycle import Request, State
 from bench.config import Configuration
 from bench.network.lease import MIN_SECONDS
-from bench.web import page_service
+from bench.web import _page_service
 from bench.web.page_access import PageAddress
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, publishing, running_plane
 from tests.bench.web.browser_tab import open_tab
@@ -165,7 +165,7 @@ def test_page_late_answer_from_before_sign_in_is_ignored(
 def test_page_lost_lease_is_shown_and_not_retaken(
     browser: Any, page: RunningPage, service: FakeDesk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(page_service, "LEASE", MIN_SECONDS)
+    monkeypatch.setattr(_page_service, "LEASE", MIN_SECONDS)
     with open_tab(browser, page.url) as tab:
         tab.take_lease()
         tab.page.route("**/api/lease", lambda route: route.abort())  # the tablet is out of reach

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from bench.web.bench_link import accepted_commands, event_text, state_view
+from bench.web._bench_link import accepted_commands, event_text, state_view
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.web.browser_tab import Tab, open_tab
 from tests.bench.web.running_page import RunningPage, running_page

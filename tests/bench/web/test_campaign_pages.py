@@ -24,8 +24,8 @@ from bench.records.telemetry.ring import RingWriter
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.rows import CampaignState, Prompt
-from bench.web.campaign_service import CampaignService
-from bench.web.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
+from bench.web._campaign_service import CampaignService
+from bench.web._last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from tests.bench.campaign.plans import NOW
 from tests.bench.campaign.report.test_campaign_report import _record
 from tests.bench.fake_bench_service import loopback_configuration

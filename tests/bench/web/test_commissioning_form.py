@@ -21,7 +21,7 @@ from bench.base.address import BenchSettings
 from bench.base.errors import Refused
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, FaultRecord, folder_lock
 from bench.config import Configuration
-from bench.web.start_service import CommissioningService
+from bench.web._start_service import CommissioningService
 from tests.bench.web.noting_program import NotingProgram
 from tests.bench.web.running_page import HURRY, RunningPage, running_page
 from tests.waiting import wait_until

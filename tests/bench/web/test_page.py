@@ -10,7 +10,7 @@ import pytest
 
 from bench.base.lifecycle import Request, State
 from bench.network.command_plane import HEARTBEAT
-from bench.web.last_swing import SwingReader
+from bench.web._last_swing import SwingReader
 from tests.bench.fake_bench_service import (
     FakeDesk,
     RunningPlane,

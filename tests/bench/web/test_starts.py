@@ -21,11 +21,11 @@ import pytest
 from bench.base.errors import BenchError, Refused
 from bench.commands.cli import command_line as all_commands
 from bench.config import Configuration
-from bench.web import command_line
-from bench.web.answers import InvalidBody
-from bench.web.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
+from bench.web import _command_line
+from bench.web._answers import InvalidBody
+from bench.web._command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
+from bench.web._start_service import _FORMS, PlanCatalogue, form_arguments
 from bench.web.page_server import run_outcome
-from bench.web.start_service import _FORMS, PlanCatalogue, form_arguments
 from tests.bench.web.conftest import followed_page
 from tests.bench.web.noting_program import NotingProgram
 from tests.bench.web.running_page import HURRY, RunningPage
@@ -80,7 +80,7 @@ def test_command_line_bounds_number_and_time(program: NotingProgram, monkeypatch
     with pytest.raises(Refused, match="too many"):
         golfbench.output("campaign", "air")
     golfbench._free.release()
-    monkeypatch.setattr(command_line, "COMMAND_TIMEOUT", 0.2)
+    monkeypatch.setattr(_command_line, "COMMAND_TIMEOUT", 0.2)
     with pytest.raises(BenchError, match="still running"):
         golfbench.output("campaign", "run")
     golfbench.close()
@@ -278,7 +278,7 @@ def _options(command: str) -> set[str]:
 
 
 def test_forms_of_browser_match_command_options() -> None:
-    script = (Path(command_line.__file__).parent / "static" / "forms.js").read_text()
+    script = (Path(_command_line.__file__).parent / "static" / "forms.js").read_text()
     table = script.partition("const FORMS")[2].partition("\n];")[0]
     forms = {text.partition('"')[0]: text for text in re.split(r'\n    name: "', table)[1:]}
     assert set(forms) == {"air", "encoders", "ball", "club", "valves"}
@@ -353,7 +353,7 @@ def test_viewer_path_opens_from_same_origin_only_and_closes(
 
 
 def test_viewer_process_without_url_is_ended(program: NotingProgram, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command_line, "START", 0.2)
+    monkeypatch.setattr(_command_line, "START", 0.2)
     silent = CommandLine((sys.executable, "-S", "-c", "import time; time.sleep(600)"))
     viewer = ViewerProcess(silent, lambda *_: None)
     with pytest.raises(BenchError, match="no URL"):

@@ -19,7 +19,7 @@ from bench.network.status_words import (
     VENTING_WORDS,
 )
 from bench.supervisor.status import NO_LAUNCH_MONITOR
-from bench.web.bench_link import accepted_commands, state_view
+from bench.web._bench_link import accepted_commands, state_view
 from tests.bench.fake_bench_service import FakeDesk
 
 

@@ -16,7 +16,7 @@ from drivers.base import Command, Readings
 from drivers.can_bus import FRAME
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.nodes.device import CanopenDevice
+from sim.nodes._device import CanopenDevice
 from sim.nodes.process import BenchNodes
 from sim.nodes.wall_plant import NodesPlan
 from sim.plant import PlantParameters
@@ -35,7 +35,7 @@ Meddler = Callable[[int, bytes], list[tuple[int, bytes]]]
 
 
 class Wire:
-    """The `drivers.canopen.link.FrameLink` of the driver, nodes behind it.
+    """The `drivers.canopen._link.FrameLink` of the driver, nodes behind it.
 
     `meddle` changes the nodes' frames, `sent` holds the driver's, `refuse` makes its sending fail.
     """

@@ -17,8 +17,8 @@ from drivers.base.compiled import new_record
 from drivers.base.native import DECLINED, NativeCall
 from drivers.base.records import COMMAND, READINGS, pack_command, unpack_command, unpack_readings
 from drivers.can_bus import FRAME
+from drivers.canopen._link import SocketcanLink
 from drivers.canopen.driver import CanopenDriver
-from drivers.canopen.link import SocketcanLink
 from drivers.canopen.settings import CanopenSettings
 
 PERIOD = 0.001

@@ -186,7 +186,7 @@ def test_store_parameters_beyond_store_time_is_refused(monkeypatch: pytest.Monke
     assert 2.5 < wire.now < 3.0
     driver.close()
     driver, _ = bus(io=NODES["wago-750"], settings=SETTINGS)
-    monkeypatch.setattr("drivers.canopen.setup.STORE_TIME", 2.0)
+    monkeypatch.setattr("drivers.canopen._setup.STORE_TIME", 2.0)
     with pytest.raises(DriverError, match=r"object 1010h:1 \(store parameters\).*no answer within 2 s"):
         driver.open()
 

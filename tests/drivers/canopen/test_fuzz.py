@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import pytest
 
-from drivers.canopen.native_tick import IS_SUPPORTED
+from drivers.canopen._native_tick import IS_SUPPORTED
 from tests.benchmarks.frame_fuzz import fuzz
 from tests.benchmarks.native_fuzz import fuzz as fuzz_native
 from tests.benchmarks.sdo_fuzz import fuzz as fuzz_startups

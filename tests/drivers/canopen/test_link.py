@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from can.interfaces.socketcan.constants import SO_TIMESTAMPNS
 
+from drivers.canopen._link import SocketcanLink
 from drivers.canopen.frames import SYNC, frame
-from drivers.canopen.link import SocketcanLink
 
 POSITION = frame(0x281, bytes(4))
 
@@ -78,7 +78,7 @@ def test_receive_frame_after_echo_waits_for_answer(
         bus.socket.waiting.append(arriving.popleft())
         return wanted[:3]
 
-    monkeypatch.setattr("drivers.canopen.link.select.select", select)
+    monkeypatch.setattr("drivers.canopen._link.select.select", select)
     assert link.receive_frame(1.0) == POSITION
     assert not arriving
 

@@ -17,7 +17,7 @@ import pytest
 from drivers.base import Command
 from drivers.base.compiled import new_record
 from drivers.can_bus import ERROR
-from drivers.canopen.native_tick import IS_SUPPORTED, LINK_STATE, _take_batch, prepare
+from drivers.canopen._native_tick import IS_SUPPORTED, LINK_STATE, _take_batch, prepare
 from drivers.canopen.settings import CanopenSettings
 from tests.drivers.canopen.socket_rig import NODE, SETTINGS, Found, Frames, Rig, found
 

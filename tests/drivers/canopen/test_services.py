@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.can_bus import FRAME
+from drivers.canopen._services import Node, ServiceError
 from drivers.canopen.scan import ScannedNode, scan
-from drivers.canopen.services import Node, ServiceError
 from sim.nodes.personality import ENCODER, IO, find_personality
 from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan, settings_of
 

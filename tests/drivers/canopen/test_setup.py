@@ -14,7 +14,7 @@ from drivers.base import PASSIVE, DriverError
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.frames import bus_load, max_rate, traffic, worst_bits
 from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
-from sim.nodes.device import CanopenDevice
+from sim.nodes._device import CanopenDevice
 from sim.nodes.personality import ObjectChange, Personality
 from tests.drivers.canopen.in_step import SETTINGS, WITH_SPOOLS, DriverInStep, Wire, make, nodes_plan
 from tests.sampling import release_except

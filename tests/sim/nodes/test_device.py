@@ -7,9 +7,9 @@ import struct
 import pytest
 
 from drivers.base import PASSIVE, Command
-from sim.nodes.device import CanopenDevice
+from sim.nodes._device import CanopenDevice
+from sim.nodes._profile_nodes import EncoderNode, ValveNode401
 from sim.nodes.process import EDS
-from sim.nodes.profile_nodes import EncoderNode, ValveNode401
 
 
 class Wire:

@@ -21,8 +21,8 @@ from bench.campaign.report.findings import as_flown, findings
 from bench.campaign.report.report_tables import carry_words
 from bench.campaign.report.verdicts import quantity_name
 from bench.campaign.run.runner_control import new_entry
+from bench.campaign.statistics._unequal_variances import common_errors
 from bench.campaign.statistics.block_model import Contrast
-from bench.campaign.statistics.unequal_variances import common_errors
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.store.rows import CampaignState, Hit, Standing
 from drivers.base import Launch

@@ -12,7 +12,7 @@ from scipy import stats
 
 from bench.campaign.plan.plan import CampaignPlan, StatedCalibration, stated_uncertainties
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role
-from bench.campaign.report.budget import UncertaintyBudget, flight_slopes, uncertainty_budgets
+from bench.campaign.report._budget import UncertaintyBudget, flight_slopes, uncertainty_budgets
 from bench.records.shot.shot import Shot
 from drivers.base import Launch
 from sim.ball import Air

@@ -14,7 +14,7 @@ import pytest
 from bench.campaign.plan.conformity_rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role
-from bench.campaign.report.conformity import Decision, RuleFinding, decide_by_limit, judge_rules
+from bench.campaign.report._conformity import Decision, RuleFinding, decide_by_limit, judge_rules
 from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.records.shot.shot import Shot

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from sqlalchemy import Engine
 
-from bench.campaign.run import corrections
-from bench.campaign.run.corrections import CampaignCorrections, Drift
+from bench.campaign.run import _corrections
+from bench.campaign.run._corrections import CampaignCorrections, Drift
 from bench.campaign.run.runner_control import new_entry
 from bench.config import database_url
 from bench.learning.learn import LearningProblem, Swinger
@@ -73,9 +73,9 @@ class School:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.lessons: list[Any] = []
         self.within = True
-        monkeypatch.setattr(corrections, "prepare", lambda bench: bench)
-        monkeypatch.setattr(corrections, "learn", self._learn)
-        monkeypatch.setattr(corrections, "stored", self._stored)
+        monkeypatch.setattr(_corrections, "prepare", lambda bench: bench)
+        monkeypatch.setattr(_corrections, "learn", self._learn)
+        monkeypatch.setattr(_corrections, "stored", self._stored)
 
     def robot(self, problem: LearningProblem) -> AbstractContextManager[Swinger]:
         return nullcontext(lambda weights: pytest.fail("no learning expected"))

@@ -28,13 +28,13 @@ from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
-from bench.campaign.report.budget import uncertainty_budgets
+from bench.campaign.report._budget import uncertainty_budgets
 from bench.campaign.report.campaign_record import load_record
 from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
+from bench.campaign.run._corrections import Drift
+from bench.campaign.run._live_shots import LiveShots, require_live
 from bench.campaign.run.campaign_control import ask
-from bench.campaign.run.corrections import Drift
-from bench.campaign.run.live_shots import LiveShots, require_live
 from bench.campaign.run.plan_requirements import Profiles, require_swings
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
 from bench.campaign.run.shot_source import BlockingCondition, ShotPostponed, Suspended, Watcher
@@ -488,7 +488,7 @@ class Doors(StandingBench):
 def use_clock(monkeypatch: pytest.MonkeyPatch, bench: Doors) -> None:
     """Let campaigns read the clock of `bench`."""
     clock = SimpleNamespace(monotonic=lambda: bench.clock, sleep=time.sleep)
-    monkeypatch.setattr("bench.campaign.run.live_shots.time", clock)
+    monkeypatch.setattr("bench.campaign.run._live_shots.time", clock)
 
 
 def test_live_shots_access_disarms_then_secures(plan: CampaignPlan) -> None:
@@ -1033,7 +1033,9 @@ def test_run_campaign_drift_relearns_swing_without_ball(
     plan = load_plan(tmp_path / "plan.toml", configuration)
     arm = ("default", "driver")
     asked = chain([None, Drift(arm, "drifted")], repeat(None))
-    monkeypatch.setattr("bench.campaign.run.corrections.DriftDetector.before", lambda self, step: next(asked))
+    monkeypatch.setattr(
+        "bench.campaign.run._corrections.DriftDetector.before", lambda self, step: next(asked)
+    )
     monkeypatch.setattr("bench.learning.learn.LearningResult.within", True)
     url = database_url("", configuration.bench.data_dir)
     with running_bench(file) as bench, open_database(url) as engine:

@@ -27,8 +27,8 @@ from bench.campaign.plan.bench_setup import sample_for
 from bench.campaign.plan.gate import Centre, outside
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
+from bench.campaign.run._corrections import Drift
 from bench.campaign.run.campaign_control import ask, is_running, runner_lock
-from bench.campaign.run.corrections import Drift
 from bench.campaign.run.plan_requirements import Profiles, require_swings
 from bench.campaign.run.runner import Runner, RunOutcome
 from bench.campaign.run.runner_control import (

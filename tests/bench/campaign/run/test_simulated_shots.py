@@ -13,9 +13,9 @@ from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Step, all_trials
+from bench.campaign.run._simulated_shots import SimulatedShots, hear
 from bench.campaign.run.plan_requirements import require_swings
 from bench.campaign.run.shot_source import MonitorResult, Taken
-from bench.campaign.run.simulated_shots import SimulatedShots, hear
 from bench.config import Configuration
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import UNREPORTED

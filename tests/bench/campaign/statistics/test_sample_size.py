@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.campaign.statistics._unequal_variances import Draws
 from bench.campaign.statistics.sample_size import PredictedPrecision
-from bench.campaign.statistics.unequal_variances import Draws
 
 PAIRS, SERIES = 3, 50
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bench.campaign.statistics._unequal_variances import UnitLayout, together, units_of
 from bench.campaign.statistics.block_model import fit_blocks
-from bench.campaign.statistics.unequal_variances import UnitLayout, together, units_of
 
 
 def test_unit_layout_two_levels_match_paired_t_test() -> None:

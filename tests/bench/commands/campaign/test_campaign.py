@@ -26,11 +26,11 @@ from bench.campaign.report.campaign_record import load_record
 from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
 from bench.campaign.report.report_format import UnitSystem
+from bench.campaign.run._simulated_shots import BEGIN
 from bench.campaign.run.campaign_control import bench_lock, find_campaign, runner_lock
 from bench.campaign.run.runner import RunOutcome
 from bench.campaign.run.runner_control import new_entry, run_campaign
 from bench.campaign.run.shot_source import Watcher
-from bench.campaign.run.simulated_shots import BEGIN
 from bench.commands.campaign import campaign_run
 from bench.config import database_url, load_configuration
 from bench.simulation.swing_operator import never

@@ -22,6 +22,7 @@ import pytest
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
 from bench.base.lifecycle import REFUSAL_TEXT, Cause, Refusal, Request, State
+from bench.commissioning.machine._machine_server import LiveSeries, MachineServer
 from bench.commissioning.machine.driver_machine import Stalled, StoppedByPerson
 from bench.commissioning.machine.inputs import OperatorIO, of_simulation
 from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment, Until
@@ -33,7 +34,6 @@ from bench.commissioning.machine.machine_process import (
     live_robot,
     with_quick_pressures,
 )
-from bench.commissioning.machine.machine_server import LiveSeries, MachineServer
 from bench.commissioning.swings.robot_swings import slowed
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration
@@ -284,7 +284,7 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("bench.commissioning.machine.machine_server._PERSON", 2.0)
+    monkeypatch.setattr("bench.commissioning.machine._machine_server._PERSON", 2.0)
     armed.obey("swing", slow, True)
     assert armed.obey("release_guard") is False, "no gauge was read: the supply stays open"
     inside = driver.commands[-1]
@@ -479,7 +479,7 @@ def test_machine_server_stalls_at_address_repeat_up_to_limit(
         return start(self, *given)
 
     monkeypatch.setattr(SwingOperator, "start_swing", stalled)
-    monkeypatch.setattr("bench.commissioning.machine.machine_server._REPEATED", ADDRESS_TRIES + 2)
+    monkeypatch.setattr("bench.commissioning.machine._machine_server._REPEATED", ADDRESS_TRIES + 2)
     server.obey("arm", bench_of(configuration, slow))
     if ends:
         with pytest.raises(Refused, match=r"stopped at the address: .* all three encoders were lost at once"):
@@ -499,7 +499,7 @@ def test_machine_server_stall_in_each_arming_ends_named_as_stall(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     lose_encoders(driver, monkeypatch, lambda read: read % 4000 > 3900)
-    monkeypatch.setattr("bench.commissioning.machine.machine_server._REPEATED", 3)
+    monkeypatch.setattr("bench.commissioning.machine._machine_server._REPEATED", 3)
     with pytest.raises(Stalled, match=r"arming, 3 times: .* all three encoders were lost at once"):
         server.obey("arm", bench_of(configuration, slow))
     assert sum("it is armed again" in text for text in said) == 2

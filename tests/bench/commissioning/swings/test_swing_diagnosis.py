@@ -17,7 +17,7 @@ from bench.commissioning.machine.commissioning_step import (
     PredictionFails,
     SimulatedSeries,
 )
-from bench.commissioning.swings.short_predictions import RecordedSwing
+from bench.commissioning.swings._short_predictions import RecordedSwing
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot, Diagnosis, diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration

@@ -7,8 +7,8 @@ from math import inf, nan
 import pytest
 
 from bench.base.lifecycle import READINGS_VALID, Cause, Reaction, Refusal, Request, State
+from bench.control._motion_monitor import table_column
 from bench.control.monitor.pressure_monitor import DEAD_AFTER, SWITCHING
-from bench.control.motion_monitor import table_column
 from tests.bench.control.operating import asked, press, reach, until
 from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet
 from tests.sampling import release_except

@@ -22,7 +22,7 @@ from bench.records.shot.recorded_shot import (
 )
 from bench.records.shot.shot import ShotRecord, ShotStatus
 from bench.records.telemetry.record_file import write_swing
-from bench.viewer.scene import effort_limits, efforts, limits_of, signals_of
+from bench.viewer._scene import effort_limits, efforts, limits_of, signals_of
 from sim.ball import Air
 from sim.flight import Wind
 from sim.ground import Turf

@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 
 from bench.records.shot.shot import Shot, ShotRecord, ShotStatus
-from bench.viewer.scene import COLOURS, Array, Colour, Scene
+from bench.viewer._scene import COLOURS, Array, Colour, Scene
 from sim.flight import Flight
 
 _YARD, _MPH = 0.9144, 0.44704

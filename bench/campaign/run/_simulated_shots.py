@@ -19,7 +19,7 @@ import numpy as np
 from bench.campaign.plan.carry import Measured
 from bench.campaign.plan.plan import CampaignPlan, Simulation
 from bench.campaign.plan.shot_sequence import Step
-from bench.campaign.run.corrections import CampaignCorrections, Drift
+from bench.campaign.run._corrections import CampaignCorrections, Drift
 from bench.campaign.run.shot_source import MonitorResult, ShotSource, Taken, shot_row, with_launch
 from bench.config import Configuration
 from bench.learning.learn import LearningProblem, Swinger, on_series

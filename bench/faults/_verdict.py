@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Reaction, State
-from bench.faults.case_run import WatchedRun
+from bench.faults._case_run import WatchedRun
 from bench.faults.catalogue import Breakage, Event, Instant
 from bench.loop.loop import Cycles
 from bench.simulation.safety import SafetyLimits, unsafe_reasons

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.design.refine import Rehearsal, without_history
+from bench.design._refine import Rehearsal, without_history
 from bench.simulation.safety import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench
 from drivers.base.compiled import compiled

@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from drivers.base import DriverError
-from drivers.canopen.services import Node, ServiceError
+from drivers.canopen._services import Node, ServiceError
 
 POLARITY = {
     0x6002: "polarity of the inputs",

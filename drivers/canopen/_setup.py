@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from functools import partial
 
 from drivers.base import ACTUATORS, DriverError
+from drivers.canopen._scaling import check_stored, set_polarity, set_scale
+from drivers.canopen._services import MISSING, Node, ServiceError
 from drivers.canopen.frames import RPDO1, TPDO1, TPDO2, analogue_groups, valve_counts
-from drivers.canopen.scaling import check_stored, set_polarity, set_scale
-from drivers.canopen.services import MISSING, Node, ServiceError
 from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
 
 ENCODER_PROFILE, IO_PROFILE = 406, 401

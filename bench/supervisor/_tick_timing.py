@@ -1,6 +1,6 @@
 """Loop timing: counts wake-up latencies and the segments of the ticks.
 
-Constant memory, one small compiled call a tick. Layout and reader: `bench.supervisor.timing_record`.
+Constant memory, one small compiled call a tick. Layout and reader: `bench.supervisor._timing_record`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import Refused
-from bench.supervisor.timing_record import BUCKETS, LATE, LAYOUT, SEGMENTS, STAMPS, TIMING, Stall, upper_edges
+from bench.supervisor._timing_record import (
+    BUCKETS,
+    LATE,
+    LAYOUT,
+    SEGMENTS,
+    STAMPS,
+    TIMING,
+    Stall,
+    upper_edges,
+)
 from drivers.base.compiled import compiled
 from drivers.base.shared_memory import SharedMemoryError
 

@@ -18,7 +18,7 @@ from scipy import stats
 
 from bench.campaign.plan.plan import NAMES, CampaignPlan, stated_uncertainties
 from bench.campaign.plan.shot_sequence import sections, tests_by_level
-from bench.campaign.report.conformity import COVERAGE
+from bench.campaign.report._conformity import COVERAGE
 from bench.campaign.statistics.block_model import independent_codes, mean_error
 from bench.records.shot.shot import Shot, ShotStatus
 from sim.ball import Air

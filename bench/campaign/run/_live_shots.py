@@ -27,7 +27,8 @@ from bench.campaign.plan.bench_setup import Preparation
 from bench.campaign.plan.carry import Measured
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Step
-from bench.campaign.run.corrections import CampaignCorrections, Drift
+from bench.campaign.run._corrections import CampaignCorrections, Drift
+from bench.campaign.run._simulated_shots import ball_as_hit, monitored, random_of, reported_carry
 from bench.campaign.run.plan_requirements import (
     START_SERIES,
     Profiles,
@@ -45,7 +46,6 @@ from bench.campaign.run.shot_source import (
     shot_row,
     with_launch,
 )
-from bench.campaign.run.simulated_shots import ball_as_hit, monitored, random_of, reported_carry
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
 from bench.network.bench_operator import READY, BenchOperator, NoShot, in_words, require_kind

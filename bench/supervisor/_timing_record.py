@@ -1,6 +1,6 @@
 """The loop's timing as any process reads it: the layout of its counters, their reader and their statistics.
 
-The loop writes them, see `bench.supervisor.tick_timing`. They are 8-byte counters in a mapped file that only
+The loop writes them, see `bench.supervisor._tick_timing`. They are 8-byte counters in a mapped file that only
 grow: any process may read at any time, and the difference of two snapshots covers the time between. A
 snapshot may be off by one tick, but is never torn: a processor stores an aligned word atomically. The
 histograms are log-linear: sixteen buckets an octave, so a percentile is known within a sixteenth, from 256 ns

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from bench.base.address import address_mistakes, database_url
 from bench.base.errors import BenchError
 from bench.base.from_toml import Mistake, TomlValue, Tree, format_value
-from bench.config.settings import Configuration
+from bench.config._settings import Configuration
 from bench.control.measured_plant import value_at
 from bench.control.settings import (
     MODEL_PHASES,

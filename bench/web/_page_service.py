@@ -22,7 +22,7 @@ from bench.base.errors import BenchError, Refused
 from bench.network.bench_service import CommandAnswer
 from bench.network.client import BenchClient
 from bench.network.lease import MAX_HOLDER_LENGTH
-from bench.web.answers import (
+from bench.web._answers import (
     Asked,
     Download,
     InvalidBody,
@@ -33,7 +33,7 @@ from bench.web.answers import (
     static_files,
     text_in,
 )
-from bench.web.bench_link import BenchLink, PageBroadcaster
+from bench.web._bench_link import BenchLink, PageBroadcaster
 from bench.web.page_access import SESSION, PageAccess, PageRole
 
 if TYPE_CHECKING:

@@ -25,9 +25,9 @@ from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
 from bench.store.rows import ENDED, MAX_COMMENT_LENGTH, CampaignState, ShotNote, places
-from bench.web.answers import MAX_RECORDS, REPORT, Asked, Download, Downloads, InvalidBody, UnknownName
-from bench.web.command_line import BackgroundCommand, CommandLine
-from bench.web.last_swing import swing_view
+from bench.web._answers import MAX_RECORDS, REPORT, Asked, Download, Downloads, InvalidBody, UnknownName
+from bench.web._command_line import BackgroundCommand, CommandLine
+from bench.web._last_swing import swing_view
 
 MAX_LISTED = 50
 """Max number of listed campaigns."""

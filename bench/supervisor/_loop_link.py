@@ -17,6 +17,7 @@ import numpy as np
 from bench.base.lifecycle import Answer, Refusal, Request, State
 from bench.network.bench_service import CommandAnswer, refused
 from bench.records.telemetry.ring import RingReader
+from bench.supervisor._supervision import SUPERVISION, SUPERVISION_FILE
 from bench.supervisor.child_process import (
     CORRECTED,
     CORRECTED_FILE,
@@ -26,7 +27,6 @@ from bench.supervisor.child_process import (
     pack_correction,
 )
 from bench.supervisor.status import refusal_words
-from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE
 from drivers.base.shared_memory import SharedRecord
 
 Cycles = np.ndarray[Any, Any]

@@ -37,7 +37,7 @@ from bench.config import Configuration, database_url
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
 from bench.swing.library import profile_names
-from bench.web.answers import (
+from bench.web._answers import (
     PLAIN_NAME,
     REPORT,
     Asked,
@@ -49,10 +49,10 @@ from bench.web.answers import (
     plain_file,
     text_in,
 )
-from bench.web.campaign_service import STARTED
-from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
+from bench.web._campaign_service import STARTED
+from bench.web._command_line import BackgroundCommand, CommandLine, ViewerProcess
+from bench.web._page_service import PageService, Pool
 from bench.web.page_access import PageRole
-from bench.web.page_service import PageService, Pool
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 
 from drivers.base import Command, Readings, device_limited
-from sim.nodes.device import NO_ERROR, CanopenDevice, Send
+from sim.nodes._device import NO_ERROR, CanopenDevice, Send
 from sim.nodes.personality import Personality
 
 _OPERATING, _UNITS, _RANGE, _PRESET, _POSITION = 0x6000, 0x6001, 0x6002, 0x6003, 0x6004
