@@ -28,6 +28,11 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 """Name of a person or machine in a certificate."""
 
 
+def root_key(bench: str) -> str:
+    """Return the key that all zenoh keys of `bench` begin with; rules of access name it too."""
+    return f"golfbench/{bench}"
+
+
 @dataclass(frozen=True)
 class BenchSettings:
     """Name of the bench and its storage."""

@@ -38,7 +38,7 @@ from bench.network.lease import CAMPAIGN_HOLDER, DEFAULT_SECONDS
 from bench.network.zenoh_session import NoAnswer, close_session, open_client
 
 if TYPE_CHECKING:
-    from bench.base.address import Addressed, NetworkSettings
+    from bench.base.address import Addressed, NetworkSettings, root_key
     from bench.records.shot.shot_message import ShotPublication
 
 TIMEOUT = 2.0
@@ -141,7 +141,7 @@ class BenchClient:
 
     def __init__(self, session: zenoh.Session, bench: str, network: NetworkSettings, timeout: float) -> None:
         self.bench, self._network, self._timeout = bench, network, timeout
-        self._session, self._root = session, f"golfbench/{bench}"
+        self._session, self._root = session, root_key(bench)
         self._lock = Lock()
         self.held: HeldLease | None = None
         """The lease from `take_lease`, or one stored earlier."""

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, cast
 
 import zenoh
 
+from bench.base.address import root_key
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.control.requests import STOP_LOCKOUT_TIME
@@ -162,7 +163,7 @@ class CommandPlane:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start answering. `bench` is the bench's id; leases run on `clock` (s)."""
-        self._root, self._service, self._clock = f"golfbench/{bench}", service, clock
+        self._root, self._service, self._clock = root_key(bench), service, clock
         self._book, self._book_lock = LeaseBook(), Lock()
         self._counts, self._count_lock = Counter[str](), Lock()
         self._closing = False

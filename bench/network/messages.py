@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
+from bench.base.address import root_key
 from bench.base.json_schema import Schema, names_of, schema_of
 from bench.base.lifecycle import ACCEPTED_IN, Cause, Phase, Reaction, State
 from bench.network.bench_service import STATUS_VERSION, BenchStatus, CommandAnswer
@@ -235,7 +236,7 @@ _LEASE = (
 
 def wire_contract(bench: str = "BENCH") -> dict[str, Any]:
     """Return the wire contract of `bench` (keys, schemas, limits) as JSON values."""
-    root = f"golfbench/{bench}"
+    root = root_key(bench)
     return {
         "contract_version": CONTRACT_VERSION,
         "bench": bench,

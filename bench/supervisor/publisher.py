@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
+from bench.base.address import root_key
 from bench.base.errors import ExitCode
 from bench.network.messages import LOOP_VERSION
 from bench.network.zenoh_session import close_session, open_client
@@ -69,7 +70,7 @@ class Publisher:
         self._timing = TimingReader(plan.folder / TIMING_FILE)
         self._session = open_client(plan.network, plan.bench)
         declare, drop = self._session.declare_publisher, zenoh.CongestionControl.DROP
-        key = f"golfbench/{plan.bench}"
+        key = root_key(plan.bench)
         self._telemetry = declare(f"{key}/telemetry", encoding=_ARROW, congestion_control=drop)
         self._loop = declare(f"{key}/loop", encoding=zenoh.Encoding.APPLICATION_JSON, congestion_control=drop)
         # Opened last: earlier records do not count as lost.

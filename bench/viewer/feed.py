@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Self
 
 import zenoh
 
+from bench.base.address import root_key
 from bench.base.errors import BenchError
 from bench.base.json_schema import json_object
 from bench.network.zenoh_session import close_session
@@ -78,7 +79,7 @@ class Feed:
         """Last invalid message."""
         self._subscribers = [
             session.declare_subscriber(
-                f"golfbench/{bench}/{topic}",
+                f"{root_key(bench)}/{topic}",
                 zenoh.handlers.Callback(partial(self._receive, topic), indirect=False),
             )
             for topic in topics

@@ -349,14 +349,22 @@ def test_check_request_access_within_rest_time_refuses(good: Make, since: float,
     assert situation.refusal(Request.ACCESS) is refusal
 
 
-@pytest.mark.parametrize(("fitted", "pressed"), [(True, NOW), (True, -inf), (False, NOW)])
+@pytest.mark.parametrize(
+    ("fitted", "pressed", "before"),
+    [
+        (True, NOW, Refusal.GAUGE),
+        (True, NOW, Refusal.NONE),
+        (True, -inf, Refusal.GAUGE),
+        (False, NOW, Refusal.GAUGE),
+    ],
+)
 def test_check_request_access_with_trapped_air_requires_press(
-    good: Make, fitted: bool, pressed: float
+    good: Make, fitted: bool, pressed: float, before: Refusal
 ) -> None:
     situation = good(Request.ACCESS)
     s, situation.parameters.control["local_reset"] = situation.state.control, fitted
-    s["venting"]["trapped"], s["reset_pressed"] = True, pressed
-    gauge_was_read = fitted and pressed == NOW
+    s["venting"]["trapped"], s["reset_pressed"], s["refusal"] = True, pressed, before
+    gauge_was_read = fitted and pressed == NOW and before is Refusal.GAUGE
     assert situation.refusal(Request.ACCESS) is (Refusal.NONE if gauge_was_read else Refusal.GAUGE)
 
 
