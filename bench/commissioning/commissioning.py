@@ -9,7 +9,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -42,7 +42,7 @@ from bench.commissioning.machine.commissioning_step import (
     Traces,
 )
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
-from bench.commissioning.machine.inputs import OperatorIO
+from bench.commissioning.machine.inputs import OperatorIO, RegulatorNotTurned
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.steps.friction_identification import FRICTION
@@ -345,7 +345,7 @@ def commission(
         MachineFault: a step found the machine wrong; the state says so.
         Refused: an interlock ended a step, or stalls ended it again and again; it is repeated when resumed.
     """
-    known, after = RobotEstimate(nominal, state.values), nominal.supply.atmosphere
+    known = RobotEstimate(nominal, state.values)
     try:
         for number, step in enumerate(STEPS, 1):
             if state.has_done(step):
@@ -360,10 +360,13 @@ def commission(
                 values = tuple(value._replace(step=step.name) for value in result.values)
                 done(StepResult(values, (*result.notes, *stalls, *observe())))
             known.add(values)
-        after = inf
-    finally:
+    except BaseException:
         machine.make_passive()
-        machine.set_supply(after)
+        with suppress(RegulatorNotTurned):  # the first error says more
+            machine.set_supply(nominal.supply.atmosphere)
+        raise
+    machine.make_passive()
+    machine.set_supply(inf)
     return known
 
 

@@ -350,7 +350,8 @@ def bring_to_rest(stepper: Stepper, longest: int) -> list[Cycles]:
 
     Takes at most `longest` ticks; joints that still move then get the passive command.
     """
-    records = [stepper.advance(1, Request.STOP)]
+    moves = stepper.state.control["phase"][0] != Phase.STANDING  # at rest a stop would latch
+    records = [stepper.advance(1, Request.STOP if moves else 0)]
     left = longest - 1
     while left > 0 and stepper.state.control["phase"][0] != Phase.STANDING:
         records.append(stepper.advance(min(left, _BETWEEN_LOOKS)))

@@ -124,7 +124,8 @@ class BenchOperator:
             KeyboardInterrupt: interrupted.
         """
         if self._aborted():
-            self.client.stop()
+            if self._held:  # else it is the motion of another client
+                self.client.stop()
             raise self.refused("aborted by request", "no request to end", "Begin again.")
         if self._interrupted():
             raise KeyboardInterrupt

@@ -182,7 +182,7 @@ LEARNED_SWINGS = _append_only("learned_swings", LearnedSwingRow, "bench", "profi
 AIR_READINGS = _append_only("air_readings", AirReading)
 BALL_AERODYNAMICS = _append_only("ball_aerodynamics", BallAerodynamicsRow, "bench", "ball")
 
-SCHEMA_VERSION = 15
+SCHEMA_VERSION = 16
 
 
 BUSY_TIMEOUT = 5.0
@@ -337,7 +337,9 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
     try:
         # A connection that a restart of the server has cut is replaced when it is next used.
         arguments: dict[str, float] = {"timeout": BUSY_TIMEOUT} if is_sqlite else {}
-        if url.get_backend_name() == "postgresql":  # whose driver takes whole seconds, and waits for minutes
+        if (
+            url.get_backend_name() == "postgresql" and "connect_timeout" not in url.query
+        ):  # whose driver takes whole seconds, and waits for minutes
             arguments["connect_timeout"] = ceil(BUSY_TIMEOUT)
         engine = create_engine(url, connect_args=arguments, pool_pre_ping=not is_sqlite)
     except ModuleNotFoundError as error:

@@ -427,7 +427,10 @@ def mark_keys(
 
 # Prompts ---------------------------------------------------------------------------------------------
 
-_GUARD = "The chambers are vented and the guard is unlocked. Close it when everybody is out"
+_GUARD = (
+    "The chambers are vented and the guard is unlocked. Remove the pin, shut hand valves, close it when "
+    "everybody is out"
+)
 _SHUT = (
     "If the supply was shut without a request for gauges, first run golfbench campaign pause ID in another "
     "terminal. Then answer: "

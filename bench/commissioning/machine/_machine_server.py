@@ -70,7 +70,7 @@ _SWINGS, _CHUNK = 300, 10
 
 _LATCHED = (State.ESTOP, State.FAULT)
 """States that only a reset ends."""
-_BY_PERSON = (Cause.EMERGENCY_STOP, Cause.NETWORK_STOP, Cause.OPERATOR_STOP, Cause.GUARD)
+_BY_PERSON = (Cause.EMERGENCY_STOP, Cause.GUARD)
 """Causes after which a reset alone does not start the robot again."""
 
 Say = Callable[[str], None]
@@ -353,7 +353,7 @@ class LiveSeries:
             raise stopped_by_person()
         for name in ("latest_cause", "cause"):
             cause = Cause(int(self._operator.control[name][0]))
-            if self._state in _LATCHED and cause in _BY_PERSON:
+            if cause in _BY_PERSON:
                 raise stopped_by_person(found=cause_text(cause, ""))
 
 

@@ -182,7 +182,9 @@ class DriverMachine:
                 break
         fullest = int(np.argmax(self._pressure()))
         if not self._pressure()[fullest] <= self._atmosphere + 3.0 * _EMPTY:
-            found = f"{1e-5 * self._pressure()[fullest]:.2f} bar in {CHAMBERS[fullest]} after {duration:g} s"
+            shown = self._pressure()[fullest]
+            found = f"{1e-5 * shown:.2f} bar" if np.isfinite(shown) else "no valid pressure"
+            found += f" in {CHAMBERS[fullest]} after {duration:g} s"
             action = "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside."
             raise MachineFault("vents", found, "empty chambers", action)
         return log.trace(None, (False,), self._tick)
@@ -355,7 +357,9 @@ class DriverMachine:
         r, level = self._readings[0], self._readings["local_reset"][0]
         closed = r["guard_closed"] and r["emergency_stop_clear"]
         permitted = closed and (self._permitted or (level and self._reset_was_low))
-        self._permitted, self._reset_was_low = bool(permitted or not self._local_reset), not level
+        self._permitted = bool(permitted or not self._local_reset)
+        # Inputs that do not arrive read low: after them a stuck button would give an edge.
+        self._reset_was_low = bool(not level and closed and self._driver.operational)
         seen, age = self._readings["encoder_valid"][0] != 0, self._readings["encoder_age"][0]
         if not np.any(seen & (age < _STALL * self._tick)):
             # Not a cable: it takes one. Pressures come more rarely, and are missed for longer.

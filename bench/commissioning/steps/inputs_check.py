@@ -186,11 +186,11 @@ def _beside_the_gauge(
     atmosphere, worst = c.plant.supply.atmosphere, 0.0
     findings = list[MachineFault]()
     for pressure in PRESSURES:
-        await_local_reset(machine, hands)
         hands.regulator(pressure)
+        await_local_reset(machine, hands)
         machine.watch(_WARNING, None, inf, c.lifecycle.warning_time, c.lifecycle.warning_time)
         readings = machine.watch(on, None, inf, _FILLED, _FILLED)
-        if not (readings.guard_closed and readings.guard_locked and readings.emergency_stop_clear):
+        if not (readings.guard_closed and readings.guard_locked and machine.may_move()):
             action = "Close the guard, release the emergency stop, and begin again."
             raise _refused("the guard or the emergency stop", "closed, and clear", action)
         over = gauge()

@@ -24,7 +24,7 @@ from bench.commissioning.machine.commissioning_step import (
     PredictionFails,
     SwingSeries,
 )
-from bench.commissioning.machine.driver_machine import Stalled
+from bench.commissioning.machine.driver_machine import Stalled, StoppedByPerson
 from bench.commissioning.machine.machine import Array
 from bench.commissioning.swings._short_predictions import (
     PRESSURE,
@@ -450,6 +450,7 @@ class DiagnosedRobot:
 
     def explained(self, error: Refused) -> Refused:
         """Return `error` of a step with the diagnosis of the last swing, if that names no cause."""
-        if self.last is None or self.last.named is not None or isinstance(error, (PredictionFails, Stalled)):
+        lasting = (PredictionFails, Stalled, StoppedByPerson)
+        if self.last is None or self.last.named is not None or isinstance(error, lasting):
             return error
         return type(error)(error.location, f"{error.found}; {self.last.text}", error.expected, error.action)

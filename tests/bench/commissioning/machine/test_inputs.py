@@ -483,16 +483,19 @@ def test_check_inputs_air_requires_press_after_each_open_interlock(wired: Config
             acts.append(one.key)
             own.act(one)
 
-        def gauge() -> float:
-            shown = read()
+        def turn(pressure: float) -> None:
+            own.regulator(pressure)
             for clear in (False, True):
                 machine.driver.plant_state["emergency_stop_clear"] = clear
                 machine.hold()
                 machine.hold()
-            acts.append("gauge")
-            return shown
 
-        _, findings = check_inputs(machine, own._replace(act=act, gauge=gauge), c)
+        def gauge() -> float:
+            acts.append("gauge")
+            return read()
+
+        hands = own._replace(act=act, gauge=gauge, regulator=turn)
+        _, findings = check_inputs(machine, hands, c)
     assert findings == []
     press = ["press-reset", "release-reset", "gauge"]
     assert acts[-6:] == press * 2
