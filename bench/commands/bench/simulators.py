@@ -161,13 +161,14 @@ def act_at(folder: Path | None, key: str) -> None:
 
 def _at_nodes(folder: Path | None, location: str, act: Callable[[Path], None]) -> None:
     """Do `act` at the simulated nodes with their files in `folder`; raises Refused where none are."""
+    from bench.commissioning.machine.inputs import RegulatorNotTurned
     from drivers.base.shared_memory import SharedMemoryError
 
     if folder is None:
         raise Refused(location, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
     try:
         act(folder)
-    except SharedMemoryError as error:
+    except (RegulatorNotTurned, SharedMemoryError) as error:
         raise Refused(location, str(error), "running nodes", f"Start them with --folder {folder}.") from error
 
 
