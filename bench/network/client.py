@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import zenoh
 
+from bench.base.address import root_key
 from bench.base.errors import BenchError, Refused
 from bench.base.json_schema import json_object
 from bench.base.lifecycle import ACCEPTED_IN, PASSING, Refusal, State
@@ -38,7 +39,7 @@ from bench.network.lease import CAMPAIGN_HOLDER, DEFAULT_SECONDS
 from bench.network.zenoh_session import NoAnswer, close_session, open_client
 
 if TYPE_CHECKING:
-    from bench.base.address import Addressed, NetworkSettings, root_key
+    from bench.base.address import Addressed, NetworkSettings
     from bench.records.shot.shot_message import ShotPublication
 
 TIMEOUT = 2.0
