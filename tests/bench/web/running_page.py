@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
 import ssl
 import sys
 import threading
@@ -49,7 +50,11 @@ class RunningPage:
     ) -> PageAnswer:
         connection = self.connection()
         try:
+            connection.connect()
+            # Head and body together: a body that arrives after a refusal of the head resets the connection.
+            connection.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_CORK, 1)
             connection.request(method, path, body, dict(headers or {}))
+            connection.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_CORK, 0)
             response = connection.getresponse()
             found = {name.lower(): value for name, value in response.getheaders()}
             return PageAnswer(response.status, found, response.read())
