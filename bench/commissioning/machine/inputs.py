@@ -17,17 +17,13 @@ from functools import partial
 from itertools import combinations
 from math import inf, isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.commissioning.machine.commissioning_step import MachineFault, Mark
 from drivers.base import PASSIVE, Command, Readings
 from drivers.base.shared_memory import SharedMemoryError
 from sim.exchange import SurroundingsWriter
-
-if TYPE_CHECKING:
-    from bench.commissioning.machine.driver_machine import SimulatedMachine
-    from bench.commissioning.machine.machine_process import LiveRobot
 
 
 class Act(NamedTuple):
@@ -289,13 +285,27 @@ SIMULATED_TIMEOUT = 2.0
 """Time for each act of simulated hands (s)."""
 
 
+class WatchedMachine(Protocol):
+    """A machine whose local reset is seen."""
+
+    def may_move(self) -> bool:
+        """Return whether a fitted local reset was pressed since guard or emergency stop last opened."""
+
+    def watch(
+        self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
+    ) -> Readings:
+        """Return the readings once they differ from `before` and are settled (s), or at the timeout (s)."""
+
+
 def without_press() -> Refused:
     """Return the error of a motion that no person at the robot permitted."""
     action = "Count the persons, close the guard, then repeat it (commission: --resume)."
-    return Refused("local reset", "no press of it alone", "one before air comes on", action)
+    return Refused(
+        "local reset", "no press and release behind a closed guard", "one before air comes on", action
+    )
 
 
-def await_local_reset(machine: SimulatedMachine | LiveRobot, hands: OperatorIO) -> None:
+def await_local_reset(machine: WatchedMachine, hands: OperatorIO) -> None:
     """Return once the local reset, if fitted, was pressed and released since an interlock was last open.
 
     Raises:
