@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 DATABASE_FILE = "golfbench.sqlite"
 """SQLite's file in the folder of records."""
+PAGE_PORT = 8600
+"""Port of the page unless another one is given."""
 BENCH_ID = r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}"
 """Pattern of a bench id, which is part of network keys and file names."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")

@@ -22,7 +22,7 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bench.base.address import identity_files
+from bench.base.address import PAGE_PORT, identity_files
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import read_text
 
@@ -125,16 +125,12 @@ def read_tokens(file: Path) -> dict[str, PageRole]:
     return tokens
 
 
-PORT = 8600
-"""Port of the page unless another one is given."""
-
-
 class PageAddress(NamedTuple):
     """Where the page is reached, and by whom."""
 
     host: str = "127.0.0.1"
     """IP address to listen at."""
-    port: int = PORT
+    port: int = PAGE_PORT
     identity: str = ""
     """Path, without ending, of certificate and key; empty: no TLS, on the loopback only."""
     tokens: Path | None = None

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.base.address import PAGE_PORT
 from bench.base.errors import BenchError
 from bench.commands.common import Session, argument, flag, option, show_json
 
@@ -151,7 +152,7 @@ def page(
     host: Annotated[
         str, option("IP address to listen at; 0.0.0.0: all of this machine.", "ADDRESS")
     ] = "127.0.0.1",
-    port: Annotated[int, option("Port to listen at.", low=1, high=65535)] = 8600,
+    port: Annotated[int, option("Port to listen at.", low=1, high=65535)] = PAGE_PORT,
     identity: Annotated[str, option("Certificate and key for TLS, without ending.", "PATH")] = "",
     tokens: Annotated[
         Path | None, option("Tokens to sign in with, one a line: operator TOKEN.", "FILE")
