@@ -134,7 +134,7 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.NO_LEASE: ("no valid lease", "take it (golfbench lease take), then retry"),
     Refusal.SUPPORT: ("the recorder or the publisher is not running", "nothing is armed without a record"),
     Refusal.NOT_VENTED: ("the chambers are not verified empty yet", "wait, then retry"),
-    Refusal.LOCAL_RESET: ("the reset button next to the robot was not pressed", "press it, then retry"),
+    Refusal.LOCAL_RESET: ("the local reset at the guard was not pressed", "press it, then retry"),
     Refusal.READ_ONLY: ("this bench was started to observe only", ""),
     Refusal.SUPERVISOR: ("no heartbeat from the supervisor", "read the log, then retry"),
     Refusal.DEVICE: ("the device went passive", "reset first"),
@@ -151,11 +151,11 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.MOVING: ("a joint still moves", "wait until the robot rests, then retry"),
     Refusal.GAUGE: (
         "no sensor verifies that the chambers are empty",
-        "lock the supply; once both gauges show 0, press the reset button there, then retry",
+        "lock the supply; once both gauges show 0, press the local reset, then retry",
     ),
     Refusal.MANIFOLD: (
         "the supply manifold still holds pressure",
-        "wait, or vent it by hand; at 0 on its gauge check its sensor",
+        "wait, or empty it by its hand valve; at 0 on its gauge check its sensor",
     ),
     Refusal.BLOCKED: ("arming is blocked", "remove what blocks it"),
     Refusal.CORRECTION: ("the correction does not fit this bench", "learn again"),
@@ -373,7 +373,7 @@ CAUSE_WORDS: dict[Cause, Words] = {
     ),
     Cause.NOT_VENTED: (
         "the chambers did not empty in time",
-        "keep away from the robot; press the emergency stop, then empty the chambers by hand",
+        "keep away from the robot; press the emergency stop, then open the hand valves",
     ),
     Cause.DEVICE_PASSIVE: (
         "the device went passive after a time-out of its commands",
@@ -403,7 +403,10 @@ CAUSE_WORDS: dict[Cause, Words] = {
     **_each_joint(
         Cause.SHOULDER_SENSOR, "one {joint} chamber alone deviates from the model", _WORN_OR_SENSOR
     ),
-    Cause.MANIFOLD: ("the manifold holds pressure with the supply shut", "shut it off and vent it by hand"),
+    Cause.MANIFOLD: (
+        "the manifold holds pressure with the supply shut",
+        "lock the supply, empty the manifold by its hand valve",
+    ),
     Cause.SUPPLY_SENSOR: (
         "supply sensor without a plausible value",
         "check cable and sensor at the manifold",

@@ -169,7 +169,7 @@ class LifecycleSettings:
     pressure_timeout: Positive = 20.0
     """Longest time for which the address is held until the chambers are as planned, s."""
     local_reset: bool = False
-    """Reset and secure also need a press of the button at the robot; required with a real robot."""
+    """Reset and secure also need a press of the local reset; required with a real robot."""
     local_reset_time: Positive = 10.0
     """Validity of a press of the button for one reset or secure (s)."""
     hold_between_swings: bool = False

@@ -166,7 +166,7 @@ class Watch:
                     self._leave()
                 if request not in _REPEATED:
                     left.popleft()
-            # For access a person presses the button next to the robot repeatedly, whatever a gauge shows.
+            # For access a person presses the local reset repeatedly, whatever a gauge shows.
             press = request == Request.ACCESS and self.ticks // _CHUNK % 2 == 0
             self.bench.plant_state["local_reset"] = press
             self.advance(_CHUNK, request)
@@ -218,7 +218,7 @@ class Watch:
         return self.ticks - self.rest_tick >= round(seen / self.period)
 
     def _leave(self) -> None:
-        """Leave: close the guard and press the button next to the robot."""
+        """Leave: close the guard and press the local reset."""
         state = self.bench.plant_state
         state["guard_closed"] = True
         self.advance(_CHUNK)
@@ -290,7 +290,7 @@ def next_swing(bench: LockstepEngine) -> str:
             teed = True
         request = _due(bench)
         if request in (Request.RESET, Request.SECURE):
-            plant["local_reset"] = True  # a person presses the button next to the robot
+            plant["local_reset"] = True  # a person presses the local reset
             bench.advance(_CHUNK)
             plant["local_reset"] = False
         cycles = bench.advance(_CHUNK, request)

@@ -48,7 +48,7 @@ class InputSettings:
     guard_locked: Bit = 2
     """Bit of the guard: locked."""
     local_reset: Bit = 3
-    """Bit of the button at the robot."""
+    """Bit of the local reset."""
     ball_present: Bit = 4
     """Bit of the ball on the tee."""
     vent_1_open: OptionalBit = 5

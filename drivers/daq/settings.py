@@ -22,7 +22,7 @@ class InputLines:
     guard_locked: str = "port0/line2"
     """Line of the guard: locked."""
     local_reset: str = "port0/line3"
-    """Line of the button at the robot."""
+    """Line of the local reset."""
     ball_present: str = "port0/line4"
     """Line of the ball on the tee."""
 

@@ -73,10 +73,10 @@ from sim.robot import Club
 
 _AT_THE_ROBOT = {
     Refusal.GUARD: "Leave the robot and close the guard.",
-    Refusal.LOCAL_RESET: "Press the reset button next to the robot.",
+    Refusal.LOCAL_RESET: "Press the local reset at the guard.",
     Refusal.GAUGE: (
-        "Lock the supply, turn the regulator to 0. Empty by hand each chamber that vented slowly or whose "
-        "sensor failed. Once both gauges show 0, press the reset button next to them."
+        "Lock the supply, turn the regulator to 0. Empty by its hand valve each chamber that vented slowly or whose "
+        "sensor failed. Once both gauges show 0, press the local reset."
     ),
 }
 """Refusals that a person at the robot can clear, and the actions."""

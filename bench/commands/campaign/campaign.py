@@ -264,7 +264,7 @@ def answer(
 
 @app.command()
 def pause(context: typer.Context, campaign: Id) -> None:
-    """Pause a running campaign after the current shot; its runner keeps the bench."""
+    """Pause a running campaign after the current shot; its runner waits, without the lease."""
     _request(context, campaign, "pause")
 
 

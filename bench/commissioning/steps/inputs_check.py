@@ -45,7 +45,7 @@ _MIN_SHARE = 0.7
 _SETTLED, _FILLED = 1.0, 3.0
 """Time without a change beyond the valves' own delays, and to fill the manifold (s)."""
 _UNSEEN = (
-    f"{REFUSAL_WORDS[Refusal.GAUGE][0]}: lock the supply, open each hand valve until it has blown out, "
+    f"{REFUSAL_WORDS[Refusal.GAUGE][0]}: lock the supply, open all hand valves until they have blown out, "
     "read 0 at both gauges"
 )
 """Request before the guard is released, where not each chamber and the manifold have a valid sensor."""

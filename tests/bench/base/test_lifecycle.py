@@ -70,7 +70,7 @@ def test_not_vented_action_requests_emergency_stop() -> None:
 
 
 def test_gauge_refusal_action_locks_supply_first() -> None:
-    action = "lock the supply; once both gauges show 0, press the reset button there, then retry"
+    action = "lock the supply; once both gauges show 0, press the local reset, then retry"
     assert REFUSAL_WORDS[Refusal.GAUGE][1] == action
 
 

@@ -532,7 +532,7 @@ def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan)
     assert list(dict.fromkeys(asked)) == [
         "",
         "Leave the robot and close the guard.",
-        "Press the reset button next to the robot.",
+        "Press the local reset at the guard.",
     ]
 
 
@@ -561,7 +561,7 @@ def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
     assert set(asked) == {
         "",
         "Lock the supply, turn the regulator to 0. Empty by hand each chamber that vented slowly or whose "
-        "sensor failed. Once both gauges show 0, press the reset button next to them.",
+        "sensor failed. Once both gauges show 0, press the local reset.",
     }
 
 
