@@ -70,8 +70,8 @@ class Block(StrEnum):
     """Profile, club, ball and site do not fit the calibrated machine."""
     CALIBRATION_MISSING = "calibration_missing"
     CALIBRATION_EXPIRED = "calibration_expired"
-    CALIBRATION_FAILED = "calibration_failed"
-    """Check of the inputs that found something wrong."""
+    INPUTS = "inputs"
+    """Check of a machine's inputs missing, expired, of other settings or with findings: blocks homing too."""
     CALIBRATION_AHEAD = "calibration_ahead"
     """Calibration dated later than the clock."""
     CALIBRATION_NOT_LOADED = "calibration_not_loaded"
@@ -405,7 +405,7 @@ CAUSE_WORDS: dict[Cause, Words] = {
     ),
     Cause.MANIFOLD: (
         "the manifold holds pressure with the supply shut",
-        "lock the supply, empty the manifold by its hand valve",
+        "keep away; lock the supply, empty the manifold by its hand valve",
     ),
     Cause.SUPPLY_SENSOR: (
         "supply sensor without a plausible value",

@@ -396,9 +396,8 @@ class Calibration:
                 word = "expired" if entry.expired(now or at) else "expires"
                 fact, expected = f"{word} on {entry.expires:%Y-%m-%d %H:%M} UTC", "one that has not expired"
                 action = f"golfbench calibrate {entry.kind}"
-                found.append(
-                    CalibrationProblem(Block.CALIBRATION_EXPIRED, entry.name, fact, expected, action)
-                )
+                code = Block.INPUTS if entry.kind is CalibrationKind.INPUTS else Block.CALIBRATION_EXPIRED
+                found.append(CalibrationProblem(code, entry.name, fact, expected, action))
         for entry in self.later:
             fact = f"is of {entry.date:%Y-%m-%d %H:%M} UTC, later than this machine's clock"
             expected, action = (
@@ -413,7 +412,7 @@ class Calibration:
         """Return faulty inputs and missing kinds."""
         found = [
             CalibrationProblem(
-                *(Block.CALIBRATION_FAILED, entry.name, f"found {text}"),
+                *(Block.INPUTS, entry.name, f"found {text}"),
                 "a check of the inputs that finds nothing wrong",
                 f"follow it, then golfbench calibrate {entry.kind}",
             )
@@ -424,7 +423,8 @@ class Calibration:
         unreadable = {entry.kind for entry in self.unreadable}
         for kind in (kind for kind in self.nominal if kind not in unreadable):
             name = f"club {self.club}" if kind is CalibrationKind.CLUB else kind
-            where, code = f"{name} of bench {self.bench}", Block.CALIBRATION_MISSING
+            where = f"{name} of bench {self.bench}"
+            code = Block.INPUTS if kind is CalibrationKind.INPUTS else Block.CALIBRATION_MISSING
             fact, action = "never calibrated", f"golfbench calibrate {kind}"
             if kind is CalibrationKind.BALL and self.moved is not None:
                 fact = f"calibrated for the tee of another club ({self.moved.name})"

@@ -44,6 +44,14 @@ def at_terminal() -> bool:
     return sys.stdin is not None and sys.stdin.isatty()
 
 
+def discard_typed() -> None:
+    """Discard what was typed at the terminal: earlier input does not answer a prompt that comes now."""
+    import termios
+
+    if at_terminal():
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+
+
 def exit_unless(holds: object) -> None:
     """End the command with REFUSED unless its result `holds`; the output already states the reason."""
     if not holds:

@@ -325,6 +325,18 @@ def see_inputs(
         done(StepResult((), (f"seen to change: {', '.join(seen.seen)}", beside)))
 
 
+@contextmanager
+def safe_after_error(machine: CommissionedMachine, plant: PlantParameters) -> Iterator[None]:
+    """Make `machine` passive and turn its regulator down after an error."""
+    try:
+        yield
+    except BaseException:
+        machine.make_passive()
+        with suppress(RegulatorNotTurned):  # the first error says more
+            machine.set_supply(plant.supply.atmosphere)
+        raise
+
+
 def commission(
     state: Commissioning,
     nominal: PlantParameters,
@@ -346,7 +358,7 @@ def commission(
         Refused: an interlock ended a step, or stalls ended it again and again; it is repeated when resumed.
     """
     known = RobotEstimate(nominal, state.values)
-    try:
+    with safe_after_error(machine, nominal):
         for number, step in enumerate(STEPS, 1):
             if state.has_done(step):
                 continue
@@ -360,11 +372,6 @@ def commission(
                 values = tuple(value._replace(step=step.name) for value in result.values)
                 done(StepResult(values, (*result.notes, *stalls, *observe())))
             known.add(values)
-    except BaseException:
-        machine.make_passive()
-        with suppress(RegulatorNotTurned):  # the first error says more
-            machine.set_supply(nominal.supply.atmosphere)
-        raise
     machine.make_passive()
     machine.set_supply(inf)
     return known

@@ -173,6 +173,8 @@ def monitor_standstill(
     if jumped == 0:
         jumped = int(s.homing.index_wrong) if s.homing.index_wrong != 0 else resting_jump(state.estimator[0])
     _forget_lost_index(s, readings)
+    if s.encoder_fault != 0 and s.encoders_seen_valid:
+        s.homed = False  # whatever turned meanwhile, no reading shows it
     if s.state == State.STARTING:
         if s.is_warmed_up:
             latch(s, parameters, int(s.first_cause), time)

@@ -142,7 +142,7 @@ class LiveSwinger:
 
 
 def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None:
-    """Refuse a bench with another profile, or without a launch monitor if that is the `source`.
+    """Refuse a bench with another profile, or one that does not yield the `source`.
 
     Raises:
         Refused: the text says which.
@@ -150,6 +150,9 @@ def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None
     if status["profile"] != profile.name:
         action = f"Start it with golfbench run --profile {profile.name}, or learn the swing that it runs."
         raise Refused(f"bench {status['bench']}", f"it swings {status['profile']}", profile.name, action)
+    if source == "impact-marks" and status["driver"] != "sim":  # it gives no access to the club
+        action = "Choose another --source; golfbench commission gives access to look at the mark."
+        raise Refused(f"bench {status['bench']}", "a machine", "a simulated bench for impact marks", action)
     link = status["launch_monitor"]
     if source == "launch-monitor" and (link is None or not link["present"]):
         location, expected = f"bench {status['bench']}: launch monitor", "a launch monitor with club data"

@@ -47,9 +47,10 @@ if TYPE_CHECKING:  # each process loads only what it needs
     from drivers.launch_monitor.settings import LaunchMonitorSettings
     from sim.plant import PlantParameters
 
-FOR_PARENT = (signal.SIGINT, signal.SIGABRT, *HANGUP)
+FOR_PARENT = (signal.SIGINT, signal.SIGABRT, signal.SIGTSTP, *HANGUP)
 """Signals sent to the whole process group and handled by the parent: SIGINT from a terminal or systemd's
-stop, SIGABRT from systemd's watchdog, a closed terminal. A child starts with them blocked."""
+stop, SIGABRT from systemd's watchdog, SIGTSTP by Ctrl-Z, a closed terminal. A child starts with them
+blocked."""
 
 
 @dataclass(frozen=True)

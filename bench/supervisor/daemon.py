@@ -73,6 +73,8 @@ from drivers.launch_monitor.open_connect import club_code
 
 _log = logging.getLogger("golfbench")
 
+_BAR_HOMING = frozenset({Block.INPUTS, Block.UNREADABLE})
+"""Blocks that bar homing too: no interlock is verified."""
 _TURN = 0.01
 """Period of the supervisor, s."""
 _LOOP_SILENCE = 0.5
@@ -153,15 +155,17 @@ class Daemon:
     # Commands ------------------------------------------------------------------------------------
 
     def request(self, request: Request, is_late: Callable[[], bool]) -> CommandAnswer:
-        """Send `request` to the loop and wait for its answer; a bench that is not ready is not armed.
+        """Send `request` to the loop and wait for its answer; one that is not ready does not move.
 
         The database may delay the check of the readiness: a request that `is_late` then is refused.
         """
-        if request is Request.ARM:
+        if request in (Request.ARM, Request.HOME):
             self._blocks = self._assess_again()
-            if self._blocks:
-                fact = f"arming blocked: {'; '.join(map(block_text, self._blocks))}"
-                content = {"arming_blocks": self._blocks}
+            barred = set(Block) if request is Request.ARM else _BAR_HOMING
+            if blocks := [block for block in self._blocks if block["code"] in barred]:
+                word = "arming" if request is Request.ARM else "homing"
+                fact = f"{word} blocked: {'; '.join(map(block_text, blocks))}"
+                content = {"arming_blocks": blocks}
                 return refused(self._link.state, Refusal.BLOCKED, fact)._replace(content=content)
         if is_late():
             return refused(self._link.state, Refusal.TOO_LATE)

@@ -12,12 +12,13 @@ from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from pathlib import Path
 
-from bench.base.errors import BenchError, Refused
+from bench.base.errors import BenchError
 from bench.base.lifecycle import Block
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import (
     Calibration,
     CalibrationKind,
+    CalibrationProblem,
     ReplacedValues,
     apply,
     is_rewired,
@@ -103,7 +104,10 @@ class Readiness:
         """Return the reasons that block arming at `now`."""
         swing = [fault for check in self.checks for fault in check.faults]
         return [
-            *(arming_block(Block.CONFIGURATION, fault) for fault in self.contradictions),
+            *(
+                arming_block(getattr(fault, "code", Block.CONFIGURATION), fault)
+                for fault in self.contradictions
+            ),
             *(arming_block(Block.SWING, fault) for fault in swing),
             *(arming_block(problem.code, problem) for problem in self.calibration.problems(now)),
         ]
@@ -219,12 +223,13 @@ def _contradictions(c: Configuration, replaced: Iterable[ReplacedValues]) -> lis
     return found
 
 
-def _rewired(calibration: Calibration, c: Configuration) -> list[Refused]:
+def _rewired(calibration: Calibration, c: Configuration) -> list[CalibrationProblem]:
     inputs = calibration.of(CalibrationKind.INPUTS)
     if inputs is None or not is_rewired(inputs.values, c):
         return []
     found, expected = "a check with other driver settings", "a check of the inputs with the settings in force"
-    return [Refused(inputs.name, found, expected, f"Run golfbench calibrate {inputs.kind}.")]
+    action = f"Run golfbench calibrate {inputs.kind}."
+    return [CalibrationProblem(Block.INPUTS, inputs.name, found, expected, action)]
 
 
 def _fitted_sensors(c: Configuration) -> tuple[bool, bool]:

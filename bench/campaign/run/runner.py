@@ -461,6 +461,8 @@ class Runner:
         self._commit()
         if not first.armed:
             self._source.rest()
+            if not self._source.simulated:  # a person may stand at the hindrance, in the line of flight
+                raise Suspended(first.text)
         began = free_since = time.monotonic()
         self._stand(CampaignState.SUSPENDED, first.text)
         self._watcher.say(f"suspended: {first.text}")

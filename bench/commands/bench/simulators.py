@@ -7,6 +7,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -119,6 +120,7 @@ def nodes(
         write_text(dbc_text(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), dbc)
         typer.echo(f"{dbc}: the frames of channel {c.canopen.channel}")
         return
+    _require_free(configuration)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         _run_nodes(nodes_plan(configuration, folder, encoder, io))
@@ -170,6 +172,27 @@ def _at_nodes(folder: Path | None, location: str, act: Callable[[Path], None]) -
         act(folder)
     except (RegulatorNotTurned, SharedMemoryError) as error:
         raise Refused(location, str(error), "running nodes", f"Start them with --folder {folder}.") from error
+
+
+def _require_free(configuration: Configuration) -> None:
+    """Refuse a bus on which nodes with these numbers answer: valves would follow the twins' readings.
+
+    Raises:
+        Refused: some answer.
+    """
+    from drivers.base import DriverError
+    from drivers.canopen.scan import scan as scan_bus
+
+    bus = configuration.canopen
+    if bus.interface == "local_socket":  # of this machine only
+        return
+    with suppress(DriverError):  # the nodes report a bus that does not open
+        found = scan_bus(bus, configuration.plant.encoders.counts_per_revolution)
+        there = ", ".join(str(node.number) for node in found if node.role and node.device)
+        if there:
+            action = "List them: golfbench nodes --scan. Simulated ones need another bus: --config local_can."
+            where = f"nodes on {bus.interface} {bus.channel}"
+            raise Refused(where, f"node {there} answers already", "free node numbers", action)
 
 
 def show_scan(configuration: Configuration) -> None:

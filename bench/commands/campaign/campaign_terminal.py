@@ -33,7 +33,7 @@ from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
 from bench.campaign.interruptions import duration_text
-from bench.commands.common import at_terminal, user_name
+from bench.commands.common import at_terminal, discard_typed, user_name
 from bench.records.shot.shot import ShotStatus
 from bench.store.rows import (
     ENDED,
@@ -470,7 +470,7 @@ class TerminalOperator:
         enter = "Enter, or the number of balls that you loaded and Enter" if balls else "Enter"
         how = f"{enter} (or {command})" if self._listening else command
         if self._listening and in_foreground(sys.stdin.fileno()):
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # earlier input does not answer this prompt
+            discard_typed()
         if self._listening and self._keys:
             how += "; to mark the last shot: m COMMENT"
         text = f"{_AFTER[PromptKind(prompt.kind)]}\nTo answer: {how}"

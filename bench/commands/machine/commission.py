@@ -18,6 +18,7 @@ from bench.base.errors import BenchError
 from bench.commands.common import (
     Session,
     at_terminal,
+    discard_typed,
     flag,
     option,
     paused,
@@ -166,6 +167,7 @@ def _commission(
         commission_swings,
         folder_lock,
         known_with_swing,
+        safe_after_error,
     )
     from bench.commissioning.machine.inputs import await_local_reset
     from bench.config import load_configuration
@@ -196,7 +198,8 @@ def _commission(
             )
             _write_robot(file, state, known, configuration.envelope)
             robot = load_configuration(file)
-            commission_swings(state, robot, machine.arm, on_step=on_step, progress=show)
+            with safe_after_error(measured, nominal):
+                commission_swings(state, robot, machine.arm, on_step=on_step, progress=show)
             swung = known_with_swing(load_configuration(file), state.folder).envelope
             _write_robot(file, state, known, configuration.envelope, swung.max_following_error)
             bar.update(task, completed=len(state.done))
@@ -283,6 +286,7 @@ def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entr
 def gauge_from_person() -> float:
     """Prompt for the reading of the gauge behind the regulator; Pa above the atmosphere."""
     while True:
+        discard_typed()
         text = typer.prompt("bar on the gauge behind the regulator", err=True)
         try:
             bar = read_number(text.replace(",", "."))
@@ -295,6 +299,7 @@ def gauge_from_person() -> float:
 
 def ask_person(text: str) -> None:
     """Say what to do, and wait until it is done."""
+    discard_typed()
     typer.prompt(f"{text}, then press Enter", default="", show_default=False, err=True)
 
 
@@ -375,10 +380,11 @@ def _hands_of_person(
     def ask_mark() -> tuple[float, float] | None:
         with paused(bar):
             typer.echo(
-                "The guard is released: look at the ball's mark on the face, and wipe it off.", err=True
+                "The guard is released: pin the shoulder, look at the ball's mark on the face, wipe it off.",
+                err=True,
             )
             mark = mark_from_person()
-            ask_person("Leave and close the guard")
+            ask_person("Remove the pin, leave and close the guard")
         return mark
 
     def ask_gauge() -> float:

@@ -19,6 +19,7 @@ from bench.commands.common import (
     Json,
     Session,
     argument,
+    discard_typed,
     exit_unless,
     flag,
     known_profiles,
@@ -192,6 +193,7 @@ def _result(problem: LearningProblem, swinger: Swinger, swings: int, bar: Progre
 def mark_from_person() -> tuple[float, float] | None:
     """Ask for the ball's mark on the face; None if it cannot be read."""
     while True:
+        discard_typed()
         text = typer.prompt(
             "mark on the face, mm towards the toe and mm up (empty: none)", default="", err=True
         )

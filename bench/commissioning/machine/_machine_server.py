@@ -240,9 +240,13 @@ class LiveSeries:
         self._operator.wait_for(lambda: self._state is not State.ACCESS, _TIMEOUT)
 
     def hold(self) -> None:
-        """Continue for one tick."""
+        """Continue for one tick; a person at the club is told once that the access is lost."""
+        was_released = self._state is State.ACCESS
         self._operator.begin_record()
         self._operator.advance(1)
+        if was_released and self._state in _LATCHED:
+            cause = Cause(int(self._operator.control["cause"][0]))
+            self._say(f"Leave the robot, leave the guard open: {': '.join(CAUSE_WORDS[cause])}.")
 
     def end(self) -> None:
         """Bring the robot to rest; the outputs end passive, also after an error."""

@@ -50,6 +50,8 @@ _LOST = 5
 """Ticks for which sensors may fail in a row: a bus may lose a frame."""
 _STALL, _STALL_FELT = 5.0, 0.5
 """Ticks without one that are a stall, and the time after one for which it explains lost readings (s)."""
+_UNWATCHED = 1.0
+"""Time without readings in which a guard may have been opened and shut (s)."""
 _STIRRED = 0.05
 """Max movement of a measured robot's joint while the spools are centred with air on (rad)."""
 _READY = 3.0
@@ -349,6 +351,8 @@ class DriverMachine:
             duration = f"{1e3 * (self._now - before):.0f} ms"
             self._stall = f"this program stood still for {duration}, a stall of the computer"
             self._stalled_at = self._now
+            if self._now - before > _UNWATCHED:  # the guard may have been opened and shut meanwhile
+                self._permitted = not self._local_reset
 
     def _read(self) -> None:
         """Take the readings, and note presses of the local reset; guard or emergency stop makes them void."""

@@ -11,7 +11,7 @@ import pytest
 from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.control.settings import holding_pressure
 from sim.plant import PlantParameters
-from tests.bench.control.operating import TIMES, asked, at_power_up, full, press, reach, until
+from tests.bench.control.operating import TIMES, asked, at_power_up, full, lose, press, reach, until
 from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet
 
 EMPTY_AT = TIMES.vented_pressure
@@ -286,3 +286,14 @@ def test_holding_pressure_equals_fifth_of_least_static_friction() -> None:
     smooth = replace(plant.shoulder, friction=replace(plant.shoulder.friction, coulomb=0.0, static=0.0))
     resolved = holding_pressure(replace(plant, shoulder=smooth)) - plant.supply.atmosphere
     assert 1e3 < resolved < HOLDING - plant.supply.atmosphere
+
+
+@pytest.mark.parametrize("source", [State.FAULT, State.ACCESS])
+def test_encoder_lost_at_rest_requires_homing(source: State) -> None:
+    puppet = reach(source)
+    assert puppet.control["homed"]
+    lose(puppet, 0)
+    puppet.run(50)
+    puppet.readings["encoder_valid"][0, 0] = True
+    puppet.run(300)
+    assert not puppet.control["homed"]

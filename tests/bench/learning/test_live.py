@@ -54,6 +54,13 @@ def test_require_bench_other_profile_is_refused() -> None:
         require_bench({**status, "profile": "driver-90mph"}, PROFILE, "encoders+model")
 
 
+def test_require_bench_impact_marks_on_machine_are_refused() -> None:
+    status = FakeDesk().status()
+    require_bench({**status, "driver": "sim"}, PROFILE, "impact-marks")
+    with pytest.raises(Refused, match="impact marks"):
+        require_bench({**status, "driver": "canopen"}, PROFILE, "impact-marks")
+
+
 def test_require_bench_absent_launch_monitor_is_refused() -> None:
     status = FakeDesk().status()
     with pytest.raises(Refused, match="launch monitor"):

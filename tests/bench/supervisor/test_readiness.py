@@ -18,6 +18,8 @@ from bench.base.lifecycle import Block, Refusal, Request, State
 from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import (
     BallPosition,
+    Calibration,
+    CalibrationProblem,
     ClubInMount,
     EncoderZeros,
     SeenInputs,
@@ -361,6 +363,19 @@ def test_daemon_ball_off_profile_refuses_arming(start: Start, calibrate: Calibra
     assert (reply.accepted, link.asked) == (False, [])
     assert [block["code"] for block in reply.content["arming_blocks"]] == [Block.SWING]
     assert daemon.request(Request.HOME, never).accepted
+
+
+def test_daemon_inputs_without_valid_check_refuse_homing(
+    start: Start, calibrate: Calibrate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calibrate(MET)
+    daemon, link = start()
+    due = CalibrationProblem(Block.INPUTS, "inputs of bench b", "never calibrated", "a check", "check them")
+    monkeypatch.setattr(Calibration, "problems", lambda *_: [due])
+    replies = [daemon.request(request, never) for request in (Request.HOME, Request.ARM)]
+    assert [reply.refusal for reply in replies] == [Refusal.BLOCKED, Refusal.BLOCKED]
+    assert replies[0].reason.startswith("homing blocked: inputs of bench b")
+    assert link.asked == []
 
 
 def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: Calibrate) -> None:

@@ -707,6 +707,15 @@ def test_runner_temporary_blocking_condition_suspends_then_continues(make: Calla
     assert "no launch monitor is connected; continued automatically after" in event.text
 
 
+@pytest.mark.usefixtures("virtual_time")
+def test_runner_blocking_condition_on_machine_waits_for_resume(make: Callable[..., Bench]) -> None:
+    bench, source = make(), Unseen()
+    source.simulated = False
+    outcome = bench.run(source)
+    assert (outcome.state, outcome.reason) == (CampaignState.SUSPENDED, "no launch monitor is connected")
+    assert (len(source.taken), source.rests, source.looks) == (2, 1, 1)
+
+
 @pytest.mark.parametrize(("request_", "state"), [("stop", "STOPPED"), ("abort", "ABORTED")])
 @pytest.mark.usefixtures("virtual_time")
 def test_runner_stop_or_abort_while_suspended_is_obeyed(

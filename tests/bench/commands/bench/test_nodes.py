@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.commands.bench.simulators import nodes_plan, show_scan, turn_regulator
+from bench.commands.bench.simulators import _require_free, nodes_plan, show_scan, turn_regulator
 from bench.config import load_configuration
 from drivers.base.compiled import new_record
 from drivers.canopen.driver import CanopenDriver
+from drivers.canopen.scan import ScannedNode
 from drivers.registry import choose_driver, find_drivers
 from sim.exchange import PLANT_SURROUNDINGS, PlantFiles
 from tests.running_bench import command_beside
@@ -66,6 +67,15 @@ def test_nodes_scan_without_canopen_nodes_is_refused(file: Path) -> None:
     file.write_text(file.read_text().replace('"canopen"', '"sim"'))
     with pytest.raises(BenchError, match=r"driver\.name(?s:.)*'sim' has no CANopen nodes"):
         show_scan(load_configuration(file))
+
+
+def test_nodes_numbers_in_use_are_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text(file.read_text().replace("local_socket", "socketcan"))
+    there = ScannedNode(22, "encoder of the arm", "an encoder", "", True, "")
+    silent = ScannedNode(40, "valves and interlocks", "", "", False, "no answer")
+    monkeypatch.setattr("drivers.canopen.scan.scan", lambda *_: [there, silent])
+    with pytest.raises(Refused, match="node 22 answers already"):
+        _require_free(load_configuration(file))
 
 
 def test_nodes_plan_matches_configuration(file: Path, tmp_path: Path) -> None:

@@ -70,6 +70,21 @@ def test_driver_machine_passive_driver_reports_earlier_stall(
         assert action in refused.value.action
 
 
+@pytest.mark.parametrize(("stall", "permitted"), [(0.5, True), (600.0, False)])
+def test_driver_machine_time_without_readings_voids_local_reset(stall: float, permitted: bool) -> None:
+    driver = FaultyDriver(build_plant(PLANT))
+    clock = JumpingClock(driver, stall)
+    with DriverMachine(driver, PLANT, clock, local_reset=True) as machine:  # type: ignore[arg-type]
+        for level in (False, True, False):
+            driver.plant_state["local_reset"] = level
+            for _ in range(10):
+                machine.hold()
+        assert machine.may_move()
+        for _ in range(100):
+            machine.hold()
+        assert machine.may_move() is permitted
+
+
 class SilentDriver(SimDriver):
     """Its first `silent` encoders give no readings for 4 ms; pressures come again 40 ms later."""
 

@@ -523,8 +523,8 @@ def blocks(database: URL, *, required: bool, found: tuple[str, ...], hours: floa
     ("required", "found", "hours", "expected"),
     [
         (True, (), 1.0, set()),
-        (True, (), 25.0, {Block.CALIBRATION_EXPIRED}),
-        (True, ("guard closed: bridged",), 1.0, {Block.CALIBRATION_FAILED}),
+        (True, (), 25.0, {Block.INPUTS}),
+        (True, ("guard closed: bridged",), 1.0, {Block.INPUTS}),
         (False, (), 25.0, set()),
         (False, ("guard closed: bridged",), 1.0, set()),
     ],

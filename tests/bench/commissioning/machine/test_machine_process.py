@@ -281,6 +281,7 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
     armed: MachineServer,
     driver: WatchedDriver,
     slow: Profile,
+    said: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -298,7 +299,15 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
         assert not driver.commands[-1].supply_enable
         surroundings.change(guard_closed=True)
         armed.obey("lock_guard")
-    assert armed.obey("swing", slow, True).cause is Cause.NONE
+        assert armed.obey("swing", slow, True).cause is Cause.NONE
+        armed.obey("release_guard")
+        surroundings.change(guard_closed=False, emergency_stop_clear=False)
+        for _ in range(100):
+            armed.hold()
+    assert [text for text in said if "Leave the robot" in text] == [
+        "Leave the robot, leave the guard open: emergency stop circuit open, release it, reset the safety "
+        "relay, then reset."
+    ]
 
 
 @needs_speed
