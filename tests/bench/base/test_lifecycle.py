@@ -65,7 +65,7 @@ def test_text_is_unique_for_every_cause_and_refusal(texts: dict[IntEnum, str], k
 
 
 def test_not_vented_action_requests_emergency_stop() -> None:
-    action = "keep away from the robot; press the emergency stop, then empty the chambers by hand"
+    action = "keep away from the robot; press the emergency stop, then open the hand valves"
     assert CAUSE_TEXT[Cause.NOT_VENTED].endswith(action)
 
 
