@@ -132,7 +132,7 @@ def test_campaign_resume_after_stop_and_kill_stores_each_shot_once(tmp_path: Pat
             assert (shot.club_speed_mps or 0.0) > 40.0
             cycles, metadata = read_swing(data_dir / stored.file)
             assert len(cycles) > 1000
-            assert metadata["shot"]["ball"] == metadata["varied"]["struck_in_the_plant"] == shot.ball
+            assert metadata["shot"]["ball"] == shot.ball
             assert metadata["record"] not in {path.name for path in bench.records}, "kept once"
         assert bench.client.status()["swings"] == 4  # the one that was cut off is taken again
         assert [event.kind for event in store.events(entry.id)] == ["reset", "reset", "killed"]
@@ -237,6 +237,7 @@ class StandingBench:
             "driver": "sim",
             **status,
         }
+        self.bench = str(self._status["bench"])
 
     def status(self) -> dict[str, Any]:
         return self._status
@@ -675,6 +676,37 @@ def monitored_shot(
     """Return the shot of a real bench with this record, of which a launch monitor reported `launch`."""
     source = shots_of(plan, StandingBench(), simulated=False, monitored=True, air=air)
     return source._taken(a_step(), 1, 1, swing, reported(launch, carry)).shot
+
+
+def test_live_shots_monitored_simulated_bench_tees_balls_of_plan(
+    plan: CampaignPlan, record: tuple[SwingRecord, Launch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The launch monitor sees what the plant strikes."""
+    teed = list[str]()
+
+    class Hands:
+        def __init__(self, folder: Path) -> None: ...
+
+        def __enter__(self) -> Hands:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def choose_ball(self, ball: Ball | None) -> None:
+            teed.append(ball.name if ball else "its own")
+
+    monkeypatch.setattr("bench.campaign.run._live_shots.SurroundingsWriter", Hands)
+    monkeypatch.setattr("bench.network.bench_operator._FEED", 0.1)
+    monkeypatch.setattr("bench.network.bench_operator.REST", 0.0)
+    bench = StandingBench(state="ARMED", phase="HOLD", time=5.0, ball_present=False)
+    step = a_step()._replace(trial=a_step().trial._replace(arm=Arm("default", "driver", "range")))
+    with shots_of(plan, bench, monitored=True) as source:
+        source.take(step, 1, 1)
+        swing, launch = record
+        taken = source._taken(step, 1, 1, swing, reported(launch, None))
+    assert teed == ["range", "its own"]
+    assert taken.metadata["varied"]["struck_in_the_plant"] == "range" != SHIPPED.plant.ball.name
+    assert taken.shot.launch_source == "launch monitor"
 
 
 def test_live_shots_reference_carry_uses_measured_air(
