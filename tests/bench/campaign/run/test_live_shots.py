@@ -681,7 +681,7 @@ def monitored_shot(
 def test_live_shots_monitored_simulated_bench_tees_balls_of_plan(
     plan: CampaignPlan, record: tuple[SwingRecord, Launch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The launch monitor sees what the plant strikes."""
+    """The launch monitor sees the ball that the plant strikes."""
     teed = list[str]()
 
     class Hands:
