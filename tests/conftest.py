@@ -22,15 +22,20 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import pickle
 import re
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import hypothesis
 import psutil
@@ -150,6 +155,33 @@ def default_profile() -> Profile:
     from bench.swing.profile import load_profile
 
     return load_profile(find_profile("default"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _shared_gains(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Place the gains of a machine once for all workers of a run: it takes two seconds of a processor."""
+    module: Any = sys.modules.get("bench.control.law.gain_scheduling")
+    if module is None:  # no test of this run needs them
+        yield
+        return
+    base, place = tmp_path_factory.getbasetemp(), module._designed.__wrapped__
+    folder = (base.parent if hasattr(request.config, "workerinput") else base) / "machine-gains"
+    folder.mkdir(exist_ok=True)
+
+    @cache
+    def designed(*machine: object) -> object:
+        file = folder / sha256(repr(machine).encode()).hexdigest()
+        with suppress(FileNotFoundError):
+            return pickle.loads(file.read_bytes())  # noqa: S301 - our own bytes
+        found: object = place(*machine)
+        part = file.with_suffix(f".{os.getpid()}")
+        part.write_bytes(pickle.dumps(found))
+        part.rename(file)
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_designed", designed)
+        yield
 
 
 # The command line in this process --------------------------------------------------------------------

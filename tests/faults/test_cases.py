@@ -14,10 +14,12 @@ from bench.faults.matrix import Workbench
 from drivers.base import CHAMBERS
 from sim.faults import Fault, Kind
 from tests.compiled_only import needs_speed
+from tests.sampling import release_except
 
 pytestmark = needs_speed
 
 Run = Callable[..., CaseOutcome]
+RELEASE = pytest.mark.release
 BEFORE, INSIDE = Instant("access", 0, "before"), Instant("access", 0, "inside")
 SENSORS = {"supply sensor": Cause.SUPPLY_SENSOR} | {
     f"{chamber} sensor": Cause(Cause.SHOULDER_A_SENSOR + k) for k, chamber in enumerate(CHAMBERS)
@@ -28,7 +30,9 @@ def fault(signal: str, kind: Kind, value: float = nan) -> Fault:
     return Fault(f"{signal} {kind}", signal, kind, value)
 
 
-@pytest.mark.parametrize("signal", SENSORS)
+@pytest.mark.parametrize(
+    "signal", release_except({"supply sensor", "shoulder vane A sensor", "wrist cylinder B sensor"}, SENSORS)
+)
 def test_pressure_sensor_off_at_address_reports_cause(run: Run, signal: str) -> None:
     case = run(fault(signal, "off"), "hold")
     assert (case.verdict, case.detected_by) == ("safe", SENSORS[signal].name), case.reasons
@@ -61,16 +65,18 @@ def test_vents_stuck_shut_record_not_vented_until_rest(run: Run) -> None:
     [
         pytest.param("guard locked", "stuck", 1.0, BEFORE, "GUARD_LOCK", marks=pytest.mark.slow),
         pytest.param("guard locked", "stuck", 1.0, INSIDE, "GUARD_LOCK", marks=pytest.mark.slow),
-        ("supply", "stuck", 1.0, BEFORE, "SUPPLY_VALVE"),
+        pytest.param("supply", "stuck", 1.0, BEFORE, "SUPPLY_VALVE", marks=RELEASE),
         ("supply", "stuck", 1.0, INSIDE, "MANIFOLD"),  # once the guard is locked again
         ("shut-off", "stuck", 1.0, BEFORE, "SHUT_OFF"),
-        ("shut-off", "stuck", 1.0, INSIDE, "SHUT_OFF"),
-        ("shut-off feedback", "stuck", 1.0, BEFORE, "SHUT_OFF"),
+        pytest.param("shut-off", "stuck", 1.0, INSIDE, "SHUT_OFF", marks=RELEASE),
+        pytest.param("shut-off feedback", "stuck", 1.0, BEFORE, "SHUT_OFF", marks=RELEASE),
         ("shut-off feedback", "stuck", 1.0, INSIDE, "SHUT_OFF"),
-        ("supply sensor", "stuck", nan, BEFORE, "SUPPLY_VALVE"),
+        pytest.param("supply sensor", "stuck", nan, BEFORE, "SUPPLY_VALVE", marks=RELEASE),
         ("supply sensor", "stuck", 1e5, BEFORE, "SUPPLY_DECAY SUPPLY_PRESSURE"),
-        ("supply sensor", "slow", 0.5, BEFORE, "SUPPLY_VALVE"),
-        ("supply sensor", "scale", 0.7, BEFORE, "SUPPLY_PRESSURE SUPPLY_SENSOR"),
+        pytest.param("supply sensor", "slow", 0.5, BEFORE, "SUPPLY_VALVE", marks=RELEASE),
+        pytest.param(
+            "supply sensor", "scale", 0.7, BEFORE, "SUPPLY_PRESSURE SUPPLY_SENSOR", marks=pytest.mark.release
+        ),
     ],
 )
 def test_fault_around_access_reports_cause(
@@ -81,7 +87,7 @@ def test_fault_around_access_reports_cause(
     assert case.detected_by in causes.split()
 
 
-@pytest.mark.parametrize("time", [0.0, 0.1, 0.2, 0.3, 3.0])
+@pytest.mark.parametrize("time", release_except({0.1, 3.0}, [0.0, 0.1, 0.2, 0.3, 3.0]))
 def test_supply_sensor_jump_with_supply_stuck_open_is_safe(workbench: Workbench, time: float) -> None:
     first = Fault("supply sensor at 1 bar", "supply sensor", "stuck", 1.0e5, time=time)
     breakage = Breakage(fault("supply", "stuck", 1.0), "stop", "latent pair", first)
@@ -89,7 +95,7 @@ def test_supply_sensor_jump_with_supply_stuck_open_is_safe(workbench: Workbench,
     assert case.verdict == "safe", case.reasons
 
 
-@pytest.mark.parametrize("value", [1.0, -1.0], ids=["open", "open in reverse"])
+@pytest.mark.parametrize("value", release_except({-1.0}, [1.0, -1.0]), ids=["open", "open in reverse"])
 @pytest.mark.parametrize(("joint", "tick"), [("shoulder", 500), ("shoulder", 2500), ("arm", 500)])
 def test_homing_valve_stuck_open_reacts_passive(run: Run, joint: str, tick: int, value: float) -> None:
     """In the search zeros are unknown and no model can detect it: the valve loses its air."""

@@ -17,12 +17,21 @@ from sim.driver import SimDriver, hanging_pose
 from sim.plant import PlantParameters, advance, build_plant
 
 
+class Mark(NamedTuple):
+    """An instant of a pair: all that both remember, and their next ticks."""
+
+    arrays: list[np.ndarray]
+    compiled: int
+    python: int
+
+
 class Pair(NamedTuple):
     """The same bench twice."""
 
     compiled: Lockstep
     python: Loop
     driver: SimDriver
+    clock: FreeClock
 
     def set(self, field: str, value: object) -> None:
         """Set a field of both plants' states, between two ticks."""
@@ -31,6 +40,23 @@ class Pair(NamedTuple):
             advance(*driver.plant.records, theirs, driver._command)
             driver._ticks[0] += 1
         ours[field] = theirs[field] = value
+
+    def _memory(self) -> list[np.ndarray]:
+        ours, theirs, driver = self.compiled, self.python, self.driver
+        apart = [ours.plant_state, ours.readings, ours.command, driver.plant_state, driver._readings]
+        apart += [driver._command, driver._progress, theirs._readings, theirs._command, theirs.record]
+        return [*apart, *ours.state, *theirs.state]
+
+    def mark(self) -> Mark:
+        """Return the present instant."""
+        return Mark([array.copy() for array in self._memory()], self.compiled.tick, self.clock.tick)
+
+    def go_back(self, mark: Mark) -> Pair:
+        """Go back to the instant `mark`."""
+        for array, then in zip(self._memory(), mark.arrays, strict=True):
+            array[...] = then
+        self.compiled.tick, self.clock.tick = mark.compiled, mark.python
+        return self
 
     def tee(self, raised: bool) -> None:
         for stepper in (self.compiled, self.python):
@@ -62,6 +88,6 @@ def make_pair() -> Callable[..., Pair]:
         clock = FreeClock(parameters.tick)
         loop = Loop(driver, controllers[0], clock, name="sim", note_truth=driver.note_truth)
         compiled = Lockstep(build_plant(parameters), controllers[1], start)
-        return Pair(compiled, loop, driver)
+        return Pair(compiled, loop, driver, clock)
 
     return make

@@ -21,9 +21,10 @@ from tests.compiled_only import needs_speed
 from tests.sampling import release_except
 
 if TYPE_CHECKING:
-    from tests.lockstep.conftest import Pair
+    from tests.lockstep.conftest import Mark, Pair
 
     MakePair = Callable[..., Pair]
+    Ready = Callable[[PlantParameters], Pair]
 
 NOISY = Encoders(jitter=5e-6, noise=2e-6)
 
@@ -39,8 +40,8 @@ def armed(pair: Pair) -> None:
     pytest.fail(f"not at address: phase {pair.python.phase}, {pair.python.state.control['cause']}")
 
 
-def swung(pair: Pair, until: float) -> None:
-    """Start a swing at a ball once the pressures are as planned, and stop `until` s after its start."""
+def aired(pair: Pair) -> None:
+    """Tee a ball up and wait until the pressures are as planned."""
     pair.tee(True)
     pair.advance(300)
     control = pair.python.state.control
@@ -49,6 +50,27 @@ def swung(pair: Pair, until: float) -> None:
         if control["address_air"]["ready"][0] or not planned:
             break
         pair.advance(50)
+
+
+@pytest.fixture(scope="module")
+def ready(make_pair: MakePair, default_profile: Profile) -> Ready:
+    """Return a function of a plant that gives its pair, ready to swing: armed and aired once."""
+    made: dict[PlantParameters, tuple[Pair, Mark]] = {}
+
+    def of(plant: PlantParameters) -> Pair:
+        if plant not in made:
+            pair = make_pair(plant, default_profile)
+            armed(pair)
+            aired(pair)
+            made[plant] = pair, pair.mark()
+        pair, mark = made[plant]
+        return pair.go_back(mark)
+
+    return of
+
+
+def swung(pair: Pair, until: float) -> None:
+    """Start a swing of a pair that is ready, and stop `until` s after its start."""
     pair.advance(1, Request.SWING)
     pair.advance(round(until * 1000))
 
@@ -67,6 +89,7 @@ def finished(pair: Pair) -> np.ndarray:
 def test_lock_step_whole_swing_is_bit_equal(make_pair: MakePair, default_profile: Profile) -> None:
     pair = make_pair(PlantParameters(encoders=NOISY, seed=7), default_profile)
     armed(pair)
+    aired(pair)
     swung(pair, default_profile.impact_time + 0.05)
     assert pair.driver.contact is not None
     assert pair.driver.contact.time == float(pair.compiled.plant_state["impact_time"][0])
@@ -86,6 +109,7 @@ def test_lock_step_model_feed_forward_is_bit_equal(
     plant = PlantParameters(encoders=NOISY, pressure_sensors=False)
     pair = make_pair(plant, default_profile, ControlSettings(feed_forward=feed_forward))
     armed(pair)
+    aired(pair)
     swung(pair, default_profile.impact_time + 0.05)
     finished(pair)
 
@@ -128,10 +152,9 @@ def test_lock_step_other_tick_and_substeps_are_bit_equal(
 @pytest.mark.parametrize("before_impact", release_except({0.10, -0.05}, [0.9, 0.25, 0.10, 0.02, -0.05, -0.3]))
 @pytest.mark.parametrize("fault", ["emergency stop", "guard", "lost encoders", "operator"])
 def test_lock_step_stop_in_swing_is_bit_equal(
-    make_pair: MakePair, default_profile: Profile, before_impact: float, fault: str
+    ready: Ready, default_profile: Profile, before_impact: float, fault: str
 ) -> None:
-    pair = make_pair(PlantParameters(), default_profile)
-    armed(pair)
+    pair = ready(PlantParameters())
     swung(pair, default_profile.impact_time - before_impact)
     assert pair.python.state.control["swinging"][0]
     match fault:
@@ -157,9 +180,8 @@ def test_lock_step_stop_in_swing_is_bit_equal(
 
 
 @needs_speed
-def test_lock_step_short_encoder_loss_completes_swing(make_pair: MakePair, default_profile: Profile) -> None:
-    pair = make_pair(PlantParameters(), default_profile)
-    armed(pair)
+def test_lock_step_short_encoder_loss_completes_swing(ready: Ready) -> None:
+    pair = ready(PlantParameters())
     swung(pair, 0.2)
     pair.set("encoder_valid", (1, 0, 1))
     lost = pair.advance(3)
@@ -194,13 +216,11 @@ FAULTS = st.tuples(
     requests=st.lists(st.tuples(st.integers(0, 1500), st.integers(0, 7))),
 )
 def test_lock_step_any_faults_and_requests_are_bit_equal(
-    make_pair: MakePair,
-    default_profile: Profile,
+    ready: Ready,
     faults: list[tuple[int, tuple[str, object, object], int]],
     requests: list[tuple[int, int]],
 ) -> None:
-    pair = make_pair(PlantParameters(encoders=NOISY), default_profile)
-    armed(pair)
+    pair = ready(PlantParameters(encoders=NOISY))
     swung(pair, 0.1)
     events = [(at, field, bad) for at, (field, bad, _), _ in faults]
     events += [(at + length, field, good) for at, (field, _, good), length in faults]

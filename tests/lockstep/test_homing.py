@@ -59,7 +59,7 @@ def kind(*, incremental: bool) -> tuple[PlantParameters, HomingSettings]:
 @pytest.fixture(scope="module")
 def make_bench(default_profile: Profile) -> MakeBench:
     def make(angle: np.ndarray | None = None, plant: PlantParameters = PLANT) -> Lockstep:
-        return in_safe(plant, build_controller(plant, default_profile, homing=HOMING), angle)
+        return in_safe(plant, build_controller(PLANT, default_profile, homing=HOMING), angle)
 
     return make
 

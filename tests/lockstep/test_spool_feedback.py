@@ -17,10 +17,20 @@ from tests.bench.control.monitor.test_position_monitor_spools import with_worn_v
 
 FITTED = PlantParameters(spool_feedback=True)
 WORN = with_worn_valves(FITTED, 0.2, 0.012, 0.008)
+BEGUN = dict[PlantParameters, Lockstep]()
+"""By plant: armed and waited for once."""
 
 
 def swinging(profile: Profile, plant: PlantParameters) -> Lockstep:
     """Return a bench of `plant`, whose controller knows the default plant, as its swing at a ball begins."""
+    if plant not in BEGUN:
+        BEGUN[plant] = begun(profile, plant)
+    bench = BEGUN[plant].copy()
+    bench.plant = own_records(bench.plant)
+    return bench
+
+
+def begun(profile: Profile, plant: PlantParameters) -> Lockstep:
     controller = build_controller(FITTED, profile)
     bench = Lockstep(own_records(build_plant(plant)), controller, profile.angle[0])
     engine = LockstepEngine(bench)

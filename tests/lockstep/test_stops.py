@@ -102,9 +102,9 @@ def test_swing_check_model_based_detection_stays_within_ratings(default_profile:
     assert told <= {f"{joint.upper()}_{what}" for what in ("AIR", "FLOW", "SENSOR")}
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def swinging(default_profile: Profile) -> Lockstep:
-    """Return a bench after the first tick of the shipped swing at a ball."""
+    """Return a bench, to be copied, after the first tick of the shipped swing at a ball."""
     parameters = PlantParameters()
     controller = build_controller(parameters, default_profile)
     bench = Lockstep(build_plant(parameters), controller, default_profile.angle[0])
@@ -129,7 +129,7 @@ def swinging(default_profile: Profile) -> Lockstep:
 def test_record_emergency_stop_shows_reaction_and_cause(
     swinging: Lockstep, default_profile: Profile, phase: Phase, reaction: Reaction
 ) -> None:
-    bench = swinging
+    bench = swinging.copy()
     begins = int(np.flatnonzero(default_profile.phases == phase)[0])
     bench.advance(begins + 30)
     bench.plant_state["emergency_stop_clear"] = False

@@ -18,7 +18,7 @@ from bench.learning.delivery import (
 from bench.learning.learn import ENOUGH, SWINGS, LearningProblem, LearningResult, learn, on_series, prepare
 from bench.simulation import plant_variation
 from bench.simulation.plant_variation import Variation, drawn
-from bench.simulation.simulated_bench import Bench, Series
+from bench.simulation.simulated_bench import Bench, Series, SeriesSwing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import build_plant
@@ -40,6 +40,12 @@ def problem() -> LearningProblem:
 @pytest.fixture(scope="module")
 def result(problem: LearningProblem) -> LearningResult:
     return learn(problem, on_series(problem, Series(BENCH, WORN)))
+
+
+@pytest.fixture(scope="module")
+def first() -> SeriesSwing:
+    """Return the first swing of the robot as the bench knows it."""
+    return Series(BENCH, PLANT).swing(BENCH.profile)
 
 
 @pytest.mark.slow
@@ -81,34 +87,34 @@ def test_delivery_from_encoders_unknown_latency_matches_plant(problem: LearningP
     assert np.abs((seen.array - truth.array) / scale).max() < 0.6
 
 
-def test_figures_from_other_source_replaces_measured_figures_only(problem: LearningProblem) -> None:
-    swing = Series(BENCH, PLANT).swing(BENCH.profile)
-    encoders = figures_from(swing.cycles, PLANT, problem.response.free)
-    marked = figures_from(swing.cycles, PLANT, problem.response.free, mark=(-6.0, 4.5))
+def test_figures_from_other_source_replaces_measured_figures_only(
+    problem: LearningProblem, first: SeriesSwing
+) -> None:
+    encoders = figures_from(first.cycles, PLANT, problem.response.free)
+    marked = figures_from(first.cycles, PLANT, problem.response.free, mark=(-6.0, 4.5))
     assert marked.strike == pytest.approx(strike_from_mark(-6.0, 4.5, PLANT))
     assert marked.strike != pytest.approx(encoders.strike, abs=1e-3)
     assert marked[1:] == encoders[1:]
-    monitor = figures_from(swing.cycles, PLANT, problem.response.free, club_speed=42.0)
+    monitor = figures_from(first.cycles, PLANT, problem.response.free, club_speed=42.0)
     assert monitor.speed == 42.0
     assert (monitor.strike, monitor.lean, monitor.attack) == (encoders.strike, encoders.lean, encoders.attack)
 
 
-def test_strike_from_mark_matches_in_plane_error(problem: LearningProblem) -> None:
-    swing = Series(BENCH, PLANT).swing(BENCH.profile)
-    assert swing.delivery is not None
-    toe, high = 1e3 * swing.delivery.strike_x, 1e3 * swing.delivery.strike_y
-    assert strike_from_mark(toe, high, PLANT) == pytest.approx(swing.delivery.in_plane_error, abs=1e-4)
+def test_strike_from_mark_matches_in_plane_error(first: SeriesSwing) -> None:
+    assert first.delivery is not None
+    toe, high = 1e3 * first.delivery.strike_x, 1e3 * first.delivery.strike_y
+    assert strike_from_mark(toe, high, PLANT) == pytest.approx(first.delivery.in_plane_error, abs=1e-4)
 
 
-def test_series_repeats_bit_for_bit_and_continues_after_stop() -> None:
-    first, second = Series(BENCH, PLANT), Series(BENCH, PLANT)
-    assert first.swing(BENCH.profile).cycles.tobytes() == second.swing(BENCH.profile).cycles.tobytes()
+def test_series_repeats_bit_for_bit_and_continues_after_stop(first: SeriesSwing) -> None:
+    series = Series(BENCH, PLANT)
+    assert series.swing(BENCH.profile).cycles.tobytes() == first.cycles.tobytes()
     weak = Variation(flow=(0.3, 1.0, 1.0)).applied_to(PLANT)
-    first._engine.stepper.plant = build_plant(weak)
-    stopped = first.swing(BENCH.profile)
+    series._engine.stepper.plant = build_plant(weak)
+    stopped = series.swing(BENCH.profile)
     assert stopped.cause is Cause.SHOULDER_FOLLOWING
-    first._engine.stepper.plant = build_plant(PLANT)
-    assert first.swing(BENCH.profile).cause is Cause.NONE
+    series._engine.stepper.plant = build_plant(PLANT)
+    assert series.swing(BENCH.profile).cause is Cause.NONE
 
 
 def test_drawn_same_seed_repeats_variation_within_spread() -> None:

@@ -171,6 +171,13 @@ def test_assess_machine_check_on_or_reason_has_no_blocks(machine: Machine) -> No
     assert codes(machine(UNWATCHED)) == []
 
 
+def test_assess_machine_rewired_after_check_of_inputs_blocks(machine: Machine, calibrate: Calibrate) -> None:
+    c = machine(UNWATCHED)
+    calibrate(SeenInputs(("guard closed",), "other wiring"))
+    (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
+    assert "with other driver settings" in block["found"]
+
+
 def test_assess_machine_without_chamber_sensors_or_reason_blocks(machine: Machine) -> None:
     (block,) = assess_bench(machine('[envelope.model]\ncheck = "always"\n'), NOW, running=True).blocks(NOW)
     assert block["found"] == "a chamber without a sensor"
@@ -356,26 +363,21 @@ def test_daemon_start_logs_values_replaced_by_calibration(
     assert "replaces plant.site.ball_x 0.25 by 0.2503" in caplog.text
 
 
-def test_daemon_ball_off_profile_refuses_arming(start: Start, calibrate: Calibrate) -> None:
-    calibrate(MISSED)
-    daemon, link = start()
-    reply = daemon.request(Request.ARM, never)
-    assert (reply.accepted, link.asked) == (False, [])
-    assert [block["code"] for block in reply.content["arming_blocks"]] == [Block.SWING]
-    assert daemon.request(Request.HOME, never).accepted
-
-
-def test_daemon_inputs_without_valid_check_refuse_homing(
-    start: Start, calibrate: Calibrate, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("code", "accepted"),
+    [(Block.INPUTS, False), (Block.UNREADABLE, False), (Block.CALIBRATION_MISSING, True)],
+)
+def test_daemon_homing_requires_valid_check_of_inputs(
+    start: Start, calibrate: Calibrate, monkeypatch: pytest.MonkeyPatch, code: Block, accepted: bool
 ) -> None:
     calibrate(MET)
     daemon, link = start()
-    due = CalibrationProblem(Block.INPUTS, "inputs of bench b", "never calibrated", "a check", "check them")
+    due = CalibrationProblem(code, "inputs of bench b", "never calibrated", "a check", "check them")
     monkeypatch.setattr(Calibration, "problems", lambda *_: [due])
-    replies = [daemon.request(request, never) for request in (Request.HOME, Request.ARM)]
-    assert [reply.refusal for reply in replies] == [Refusal.BLOCKED, Refusal.BLOCKED]
-    assert replies[0].reason.startswith("homing blocked: inputs of bench b")
-    assert link.asked == []
+    reply = daemon.request(Request.HOME, never)
+    assert (reply.accepted, link.asked) == (accepted, [Request.HOME] if accepted else [])
+    assert accepted or reply.reason.startswith("homing blocked: inputs of bench b")
+    assert daemon.request(Request.ARM, never).refusal is Refusal.BLOCKED
 
 
 def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: Calibrate) -> None:
@@ -384,6 +386,7 @@ def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: 
     assert daemon.request(Request.ARM, never).accepted
     calibrate(MISSED)
     refused = daemon.request(Request.ARM, never)
+    assert not refused.accepted
     assert [block["code"] for block in refused.content["arming_blocks"]] == [
         Block.SWING,
         Block.CALIBRATION_NOT_LOADED,
@@ -391,7 +394,8 @@ def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: 
     assert "golfbench run" in refused.content["arming_blocks"][1]["action"]
     calibrate(MET, hours=-0.5)  # as the loop has it
     assert daemon.request(Request.ARM, never).accepted
-    assert link.asked == [Request.ARM, Request.ARM]
+    assert daemon.request(Request.HOME, never).accepted
+    assert link.asked == [Request.ARM, Request.ARM, Request.HOME]
 
 
 def test_daemon_renewed_calibration_arms_without_restart(start: Start, calibrate: Calibrate) -> None:
@@ -533,15 +537,3 @@ def test_campaign_check_machine_without_model_check_previews_and_refuses(golfben
     assert (errors.count("off with a real robot"), errors.count("never calibrated")) == (1, 5)
     code, _, errors = golfbench("campaign", "check", "two-balls", more=MACHINE + UNWATCHED)
     assert (code, errors.count("never calibrated"), "real robot" in errors) == (ExitCode.REFUSED, 5, False)
-
-
-def test_campaign_check_machine_rewired_after_check_of_inputs_is_refused(
-    golfbench: Run, configuration: Configuration
-) -> None:
-    settings, date = configuration.bench, datetime.now(UTC)
-    with open_database(database_url("", settings.data_dir), date) as database:
-        expires = date + timedelta(days=1)
-        seen = SeenInputs(("guard",), "other wiring")
-        add_calibration(database, settings.id, seen, date=date, expires=expires, by="test", method="by hand")
-    code, _, errors = golfbench("campaign", "check", "two-balls", more=MACHINE + UNWATCHED)
-    assert (code, "with other driver settings" in errors) == (ExitCode.REFUSED, True)

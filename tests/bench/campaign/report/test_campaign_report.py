@@ -225,11 +225,12 @@ def test_campaign_report_same_record_gives_same_bytes(text: str, record: Campaig
     assert render_campaign_report(record, findings(record.plan, record.shots)) == text
 
 
-def test_campaign_report_ids_are_unique() -> None:
+@pytest.mark.usefixtures("undrawn_here")
+def test_campaign_report_ids_are_unique(text: str) -> None:
     record = _record("clubs", Truth(), 3)
-    page = render_campaign_report(record, findings(record.plan, record.shots))
-    ids = re.findall(r'\bid="([^"]+)"', page)
-    assert len(ids) == len(set(ids))
+    for page in (text, render_campaign_report(record, findings(record.plan, record.shots))):
+        ids = re.findall(r'\bid="([^"]+)"', page)
+        assert len(ids) == len(set(ids))
 
 
 @pytest.mark.usefixtures("undrawn_here")

@@ -63,6 +63,7 @@ def test_demo_writes_report_recording_table_database_and_swings(folder: Path) ->
     assert (folder / "bench" / "golfbench.sqlite").exists()
 
 
+@pytest.mark.slow
 def test_demo_shot_table_has_export_columns_and_both_balls(folder: Path) -> None:
     header = (folder / "shots.csv").read_text().splitlines()[0]
     assert header.split(",") == [*COLUMNS]
@@ -73,6 +74,7 @@ def test_demo_shot_table_has_export_columns_and_both_balls(folder: Path) -> None
     assert all(s.club_speed_mps is not None and s.club_speed_mps > 40 for s in shots)
 
 
+@pytest.mark.slow
 def test_demo_report_loads_no_external_file_and_names_variation(folder: Path) -> None:
     report = (folder / "report.html").read_text()
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", report)
@@ -80,11 +82,13 @@ def test_demo_report_loads_no_external_file_and_names_variation(folder: Path) ->
     assert "supply pressure" in report
 
 
+@pytest.mark.slow
 def test_demo_recording_has_ball_speed_series(folder: Path) -> None:
     entities = {str(chunk.entity_path) for chunk in RrdReader(str(folder / "demo.rrd")).stream()}
     assert "/signals/ball_speed_mps" in entities
 
 
+@pytest.mark.slow
 def test_demo_swing_record_has_shot_and_varied_supply(folder: Path) -> None:
     cycles, metadata = read_swing(_swings(folder)[1])
     assert len(cycles) == pq.read_metadata(_swings(folder)[1]).num_rows > 1000

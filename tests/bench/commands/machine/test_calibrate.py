@@ -96,29 +96,6 @@ def test_check_command_expired_calibration_is_refused(
     assert "error: calibration ball version 1" in errors
 
 
-def test_check_command_ball_off_swing_path_is_refused(golfbench: Run) -> None:
-    assert golfbench("calibrate", "ball", "--x", "0.26", "--y", "-1.56", "--uncertainty-mm", "1")[0] == 0
-    code, _, errors = golfbench("check")
-    assert code == ExitCode.BAD_INPUT
-    assert "(0.2600, -1.5600) m" in errors
-
-
-def test_calibrate_show_expired_calibration_exits_refused(golfbench: Run, tmp_path: Path) -> None:
-    from bench.calibration.archive import add_calibration
-    from bench.calibration.calibration import BallPosition
-    from bench.config import database_url
-    from bench.store.database import open_database
-
-    past = datetime(2020, 1, 1, tzinfo=UTC)
-    with open_database(database_url("", tmp_path / "data"), past) as database:
-        values = BallPosition(0.25, -1.56, 0.001)
-        expires = past + timedelta(days=1)
-        add_calibration(database, "testbench", values, date=past, expires=expires, by="me", method="rule")
-    code, text, _ = golfbench("calibrate", "show")
-    assert code == ExitCode.REFUSED
-    assert "calibration ball version 1 expired on 2020-01-02" in text
-
-
 @pytest.mark.parametrize(
     ("command", "option", "value"),
     [

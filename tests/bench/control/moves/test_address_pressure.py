@@ -59,6 +59,14 @@ def bench_on(
     return bench
 
 
+@pytest.fixture(scope="module")
+def armed(profile: Profile) -> LockstepEngine:
+    """Return a bench, to be copied, that holds its address."""
+    bench = bench_on(profile)
+    bench.arm()
+    return bench
+
+
 def deviation(bench: LockstepEngine, profile: Profile) -> Array:
     """Return the errors of the true chambers (6,) from the planned ones, Pa."""
     state = bench.plant_state[0]
@@ -145,10 +153,9 @@ def test_address_pressure_swing_refused_until_chambers_reach_plan(
 @pytest.mark.parametrize("chamber", range(6))
 @pytest.mark.parametrize("change", [-0.5e5, 0.5e5])
 def test_address_pressure_disturbed_chamber_returns_to_plan(
-    profile: Profile, chamber: int, change: float
+    profile: Profile, armed: LockstepEngine, chamber: int, change: float
 ) -> None:
-    bench = bench_on(profile)
-    bench.arm()
+    bench = armed.copy()
     bench.advance(1000)
     bench.plant_state["pressure"][0, chamber] += change
     bench.advance(20)
@@ -157,9 +164,8 @@ def test_address_pressure_disturbed_chamber_returns_to_plan(
 
 
 @needs_speed
-def test_address_pressure_minute_of_hold_stays_in_tolerance(profile: Profile) -> None:
-    bench = bench_on(profile)
-    bench.arm()
+def test_address_pressure_minute_of_hold_stays_in_tolerance(profile: Profile, armed: LockstepEngine) -> None:
+    bench = armed.copy()
     assert bench.await_air()
     worst = 0.0
     for _ in range(600):
@@ -173,9 +179,8 @@ def test_address_pressure_minute_of_hold_stays_in_tolerance(profile: Profile) ->
 
 
 @needs_speed
-def test_start_swing_waits_for_planned_air(profile: Profile) -> None:
-    bench = bench_on(profile)
-    bench.arm()
+def test_start_swing_waits_for_planned_air(armed: LockstepEngine) -> None:
+    bench = armed.copy()
     assert bench.start_swing(1, 10)
 
 
@@ -293,8 +298,9 @@ def test_return_slip_after_move_end_clears_integral(waited: int, forgotten: bool
 @pytest.mark.parametrize("planned", [True, False])
 def test_feed_forward_planned_air_omits_dead_band_opening(*, planned: bool) -> None:
     """Dither and dead-band compensation together drove a soft shoulder past its return's limit."""
-    puppet = Puppet(PLANNED if planned else STILL, replace(QUICK, gains="machine")).enter(Phase.RETURN)
+    puppet = Puppet(PLANNED if planned else STILL).enter(Phase.RETURN)
     control, parameters = puppet.control, puppet.parameters.control[0]
+    parameters["move_band"] = 0.02  # which the machine's gains have
     control["move"]["origin"][:] = puppet.parameters.angle[0] - 0.2
     control["move"]["start"], control["move"]["duration"] = puppet.time, 2.0
     puppet.follows = False
