@@ -246,7 +246,7 @@ class LiveSeries:
         self._operator.advance(1)
         if was_released and self._state in _LATCHED:
             cause = Cause(int(self._operator.control["cause"][0]))
-            self._say(f"Leave the robot, leave the guard open: {': '.join(CAUSE_WORDS[cause])}.")
+            self._say(f"Leave the robot, leave the guard open ({CAUSE_WORDS[cause][0]}).")
 
     def end(self) -> None:
         """Bring the robot to rest; the outputs end passive, also after an error."""

@@ -122,7 +122,7 @@ def test_assess_ball_off_profile_blocks(configuration: Configuration, calibrate:
 def test_assess_machine_without_calibrations_blocks(overlay: Callable[[str], Path], tmp_path: Path) -> None:
     c = load_configuration(overlay(f'[bench]\ndata_dir = "{tmp_path}"\n{MACHINE}{UNWATCHED}'))
     found = assess_bench(c, NOW, running=True)
-    assert {block["code"] for block in found.blocks(NOW)} == {Block.CALIBRATION_MISSING}
+    assert {block["code"] for block in found.blocks(NOW)} == {Block.CALIBRATION_MISSING, Block.INPUTS}
     assert len(found.blocks(NOW)) == 5
     assert found.faults == []  # a simulation of it needs none
     assert any("the reason given: trial of the valves" in warning for warning in found.warnings)
@@ -377,7 +377,7 @@ def test_daemon_homing_requires_valid_check_of_inputs(
     reply = daemon.request(Request.HOME, never)
     assert (reply.accepted, link.asked) == (accepted, [Request.HOME] if accepted else [])
     assert accepted or reply.reason.startswith("homing blocked: inputs of bench b")
-    assert daemon.request(Request.ARM, never).refusal is Refusal.BLOCKED
+    assert daemon.request(Request.ARM, never).refusal == Refusal.BLOCKED.name
 
 
 def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: Calibrate) -> None:

@@ -305,8 +305,7 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
         for _ in range(100):
             armed.hold()
     assert [text for text in said if "Leave the robot" in text] == [
-        "Leave the robot, leave the guard open: emergency stop circuit open, release it, reset the safety "
-        "relay, then reset."
+        "Leave the robot, leave the guard open (emergency stop circuit open)."
     ]
 
 
