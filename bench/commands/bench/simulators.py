@@ -16,11 +16,12 @@ import typer
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.base.interrupt import stop_on_signals
 from bench.commands.common import Session, flag, option
+from bench.records.telemetry.encoder_preset import CalibratedShifts, moved_zero
+from bench.supervisor.ownership import bench_folder
+from drivers.base import DriverError, Launch
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.records.telemetry.encoder_preset import CalibratedShifts
-    from drivers.base import Launch
     from drivers.canopen.scan import ScannedNode
     from sim.nodes.personality import Personality
     from sim.nodes.wall_plant import NodesPlan
@@ -181,7 +182,6 @@ def show_scan(configuration: Configuration) -> None:
         Refused: a configured node is missing or would be refused.
     """
     from bench.calibration.archive import calibration_of
-    from drivers.base import DriverError
     from drivers.canopen.scan import scan as scan_bus
 
     if (name := configuration.driver.name) != "canopen":
@@ -208,8 +208,6 @@ def _compared(
     node: ScannedNode, configuration: Configuration, calibrated: CalibratedShifts | None
 ) -> ScannedNode:
     """Return `node`, marked as refused if its encoder zero differs from the calibrated one."""
-    from bench.records.telemetry.encoder_preset import moved_zero
-
     numbers = configuration.canopen.encoders.nodes
     if calibrated is None or not node.taken or node.number not in numbers:
         return node
@@ -270,7 +268,6 @@ def launch_monitor(
     It measures the plant's balls with noise and faults, and sends them to the bench
     over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
     """
-    from bench.supervisor.ownership import bench_folder
     from sim.simulated_monitor import MonitorParameters
 
     c = context.ensure_object(Session).configuration()
@@ -287,7 +284,6 @@ def _run_monitor(
     parameters: MonitorParameters, c: Configuration, folder: Path, address: tuple[str, int]
 ) -> None:
     """Simulate the launch monitor of the plant in `folder` until SIGTERM or Ctrl-C."""
-    from drivers.base import Launch
     from drivers.base.shared_memory import SharedMemoryError
     from sim.exchange import ContactMonitor, warm_up
     from sim.simulated_monitor import ClubMotion, SimulatedMonitor

@@ -26,6 +26,9 @@ from bench.commands.common import (
     user_name,
 )
 from bench.commands.machine.commission import inputs
+from bench.records.telemetry.encoder_preset import read_shifts
+from bench.supervisor.ownership import bench_folder
+from drivers.base import JOINTS
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
@@ -307,7 +310,6 @@ def _zeros_at(c: Configuration, pose: Three, counts: Whole | None, sign: Whole) 
     """Return the counts at angle zero of a robot locked at `pose` (deg); its counts are read if not given."""
     from bench.calibration.calibration import zero_counts
     from bench.control.settings import angle_travel
-    from drivers.base import JOINTS
 
     angles = radians(pose[0]), radians(pose[1]), radians(pose[2])
     for name, angle, (low, high) in zip(JOINTS, angles, angle_travel(c.plant), strict=True):
@@ -326,7 +328,6 @@ def _zeros_at(c: Configuration, pose: Three, counts: Whole | None, sign: Whole) 
 
 def _require_known_zeros(zeros: Three, sign: Whole, c: Configuration, known: EncoderZeros | Encoders) -> None:
     """Raise BenchError if `zeros` are far from the `known` ones; those of other encoders are unknown."""
-    from drivers.base import JOINTS
     from sim.plant import Encoders
 
     turn = c.plant.encoders.counts_per_revolution
@@ -346,7 +347,6 @@ def _live_counts(configuration: Configuration) -> Whole:
     """Return the counts of the running bench; Refused when none runs here or the robot moves."""
     from bench.calibration.calibration import standing_counts
     from bench.records.telemetry.ring import NoRing
-    from bench.supervisor.ownership import bench_folder
 
     ring: Path = bench_folder(configuration.bench.id) / "ring"
     try:
@@ -360,9 +360,6 @@ def _live_counts(configuration: Configuration) -> Whole:
 
 def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
     """Return preset and offset of the encoders of the running bench; warn if they are unknown."""
-    from bench.records.telemetry.encoder_preset import read_shifts
-    from bench.supervisor.ownership import bench_folder
-
     found = read_shifts(bench_folder(configuration.bench.id))
     if found is None and configuration.driver.name == "canopen":
         typer.echo(

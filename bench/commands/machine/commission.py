@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError
 from bench.commands.common import (
     Session,
@@ -26,6 +27,7 @@ from bench.commands.common import (
     show_json,
     user_name,
 )
+from bench.supervisor.ownership import take_bench
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
@@ -241,7 +243,6 @@ def _write_robot(
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
     """Write robot.toml, with the limits of `following` errors and the learned swing once they are known."""
-    from bench.base.atomic_file import atomic_file
     from bench.commissioning.commissioning import require_unedited, robot_file
     from bench.commissioning.machine.commissioning_step import LEARNED_FILE
 
@@ -341,7 +342,6 @@ def _live(
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
     from bench.commissioning.machine.inputs import in_simulation
     from bench.commissioning.machine.machine_process import live_robot
-    from bench.supervisor.ownership import take_bench
     from sim.exchange import ContactMonitor
 
     def say(text: str) -> None:
@@ -429,7 +429,6 @@ def _loads(machine: SimulatedMachine) -> str:
 
 
 def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
-    from bench.base.atomic_file import atomic_file
     from bench.commissioning.commissioning import commissioning_report
 
     with atomic_file(state.folder / "report.html") as stream:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.common import (
@@ -113,7 +114,6 @@ def run(
 
 
 def _write(folder: Path, summary: dict[str, Any]) -> None:
-    from bench.base.atomic_file import atomic_file
     from bench.faults.summary import summary_text
 
     page = matrix_page(summary)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -246,7 +247,6 @@ def draw(
 def _write(
     output: Path, plant: PlantParameters, min_frame_distance: float, format_: DrawingFormat | None
 ) -> list[Path]:
-    from importlib.util import find_spec
 
     from bench.viewer.drawing.drawing import placed
     from bench.viewer.drawing.model_files import write_gltf, write_step, write_urdf
@@ -258,7 +258,7 @@ def _write(
         write_gltf(written[-1], bodies)
     if format_ in (None, "urdf"):
         written += write_urdf(output, plant, min_frame_distance)[-2:]
-    if format_ == "step" or (format_ is None and find_spec("build123d") is not None):
+    if format_ == "step" or (format_ is None and importlib.util.find_spec("build123d") is not None):
         written.append(output / "robot.step")
         write_step(written[-1], bodies)
     elif format_ is None:

@@ -14,7 +14,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
+from bench.base.configuration_files import variant_names
 from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import read_toml
 from bench.commands.common import (
     Json,
     Plot,
@@ -31,6 +33,7 @@ from bench.commands.common import (
     require_picture,
     show_json,
 )
+from bench.swing.library import find_profile
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -172,8 +175,6 @@ def compare(
 
 def _settings(location: str) -> Configuration | None:
     """Return the configuration at `location`, None if it names something else."""
-    from bench.base.configuration_files import variant_names
-    from bench.base.from_toml import read_toml
     from bench.config import load_configuration
 
     path = Path(location)
@@ -187,7 +188,6 @@ def _settings(location: str) -> Configuration | None:
 def _course(location: str, configuration: Configuration) -> SwingCourse:
     from bench.records.shot.overlay import course_of_profile, course_of_record
     from bench.records.shot.recorded_shot import read_shot
-    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     if location.endswith(".parquet"):
