@@ -426,7 +426,6 @@ def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -
 
 
 def _tell(bench: BenchClient) -> None:
-    """Show the state with its cause and the next command."""
     typer.echo(state_line(bench.status()))
 
 

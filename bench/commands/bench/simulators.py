@@ -28,12 +28,6 @@ if TYPE_CHECKING:
     from sim.simulated_monitor import MonitorParameters
 
 
-class NoDevice(BenchError):
-    """The bus of the nodes cannot be opened, or the simulated bench cannot be looked at."""
-
-    exit_code = ExitCode.DEVICE
-
-
 def nodes_plan(configuration: Configuration, folder: Path, encoder: str = "", io: str = "") -> NodesPlan:
     """Return the start parameters of the simulated nodes of `configuration`; their files go to `folder`.
 
@@ -177,8 +171,7 @@ def show_scan(configuration: Configuration) -> None:
     """Print the nodes on the bus of `configuration`.
 
     Raises:
-        BenchError: the configuration has no CANopen nodes.
-        NoDevice: the bus cannot be opened.
+        BenchError: the configuration has no CANopen nodes, or the bus cannot be opened.
         Refused: a configured node is missing or would be refused.
     """
     from bench.calibration.archive import calibration_of
@@ -193,7 +186,8 @@ def show_scan(configuration: Configuration) -> None:
         found = scan_bus(bus, configuration.plant.encoders.counts_per_revolution)
     except DriverError as error:
         action = "Bring the interface up, as ip link set can0 up, then retry."
-        raise NoDevice(where, str(error), "an open CAN interface", action) from error
+        expected, code = "an open CAN interface", ExitCode.DEVICE
+        raise BenchError(where, str(error), expected, action, code=code) from error
     calibrated = calibration_of(configuration, datetime.now(UTC)).shifts
     found = [_compared(node, configuration, calibrated) for node in found]
     for node in found:
@@ -222,7 +216,6 @@ def _scan_lines(node: ScannedNode) -> list[str]:
 
 
 def _run_nodes(plan: NodesPlan) -> None:
-    """Run the simulated nodes of `plan` until SIGTERM or Ctrl-C."""
     import can
 
     from drivers.base.shared_memory import SharedMemoryError
@@ -236,7 +229,7 @@ def _run_nodes(plan: NodesPlan) -> None:
         run_nodes(plan, lambda how: typer.echo(f"nodes {numbers} live on {where} ({how})", err=True), wish)
     except (OSError, can.CanError, SharedMemoryError) as error:
         expected, action = "an open CAN interface", "Bring it up, or take --config local_can: it needs none."
-        raise NoDevice(f"nodes on {where}", str(error), expected, action) from error
+        raise BenchError(f"nodes on {where}", str(error), expected, action, code=ExitCode.DEVICE) from error
 
 
 # The launch monitor ----------------------------------------------------------------------------------
@@ -322,7 +315,7 @@ def _run_monitor(
                         f"{'connected to' if monitor.connected else 'not connected to'} the bench at {where}"
                     )
     except SharedMemoryError as error:
-        raise NoDevice(*error.args) from error
+        raise BenchError(*error.args, code=ExitCode.DEVICE) from error
     finally:
         monitor.close()
         watch.close()

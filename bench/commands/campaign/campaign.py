@@ -26,8 +26,9 @@ from bench.commands.common import (
     progress_of,
     show_json,
     user_name,
+    write_text,
 )
-from bench.records.shot.shot import shot_table_text, write_shot_table
+from bench.records.shot.shot import shot_table_text
 from bench.store.rows import MAX_COMMENT_LENGTH, AirReading, CampaignEntry, ShotNote, amendment
 
 if TYPE_CHECKING:
@@ -146,7 +147,6 @@ def report(
 
 
 def _worn_parts(stored: Sequence[StoredShot], data_dir: Path) -> Figure:
-    """Return the chart of the robot's worn parts over the `stored` shots."""
     from bench.commissioning.swings.wear import MAX_FITTED, fitted_parts, wear_plot
 
     files = [data_dir / one.file for one in stored if one.file]
@@ -381,7 +381,4 @@ def export(
     with found_campaign(context, campaign) as (store, entry):
         taken = [stored.shot for stored in store.shots(entry.id)]
         shots = with_exclusions(taken, store.exclusions(entry.id))
-    if output is None:
-        typer.echo(shot_table_text(shots), nl=False)
-    else:
-        write_shot_table(output, shots)
+    write_text(shot_table_text(shots), output)

@@ -110,7 +110,6 @@ def _answered(options: Mapping[str, Any], configuration: Configuration) -> dict[
 
 
 def _plan_name(file: Path) -> str:
-    """Return the campaign's name by its `file`."""
     from bench.campaign.plan.plan_file import CAMPAIGN_NAME
 
     if file.suffix != ".toml" or not CAMPAIGN_NAME.fullmatch(file.stem):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 from rich.console import Console
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError, Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.campaign.campaign import Id, Units, app, found_campaign, has_store, open_store
@@ -278,7 +278,7 @@ def _run(
 ) -> None:
     from bench.campaign.plan.plan_file import plan_from_record
     from bench.campaign.report.campaign_record import load_record, note_look
-    from bench.campaign.report.campaign_report import write_campaign_report
+    from bench.campaign.report.campaign_report import render_campaign_report
     from bench.campaign.report.findings import findings, findings_record
     from bench.commands.campaign.campaign_baseline import check_baseline, junit_xml
 
@@ -289,10 +289,9 @@ def _run(
     figures = findings_record(found)
     checks = check_baseline(figures, outputs.baseline)
     if outputs.report and record.shots:
-        write_campaign_report(outputs.report, record, found, outputs.units)
+        write_whole(outputs.report, render_campaign_report(record, found, outputs.units))
     if outputs.junit:
-        with atomic_file(outputs.junit) as stream:
-            stream.write(junit_xml(entry, outcome, record.shots, checks))
+        write_whole(outputs.junit, junit_xml(entry, outcome, record.shots, checks))
     if outputs.json:
         held = [{"path": c.band.path, "value": c.value, "holds": c.holds} for c in checks]
         show_json({"campaign": entry.id, **outcome._asdict(), "baseline": held, "findings": figures})

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from bench.calibration.ball_aerodynamics import BallAerodynamics, FlightUncertainty
     from bench.calibration.calibration import (
         Calibration,
-        CalibrationKind,
         EncoderZeros,
         Entry,
         ReplacedValues,
@@ -100,8 +99,6 @@ def encoders(
     json_: Json = False,
 ) -> None:
     """Set the encoder zeros: counts at angle zero, or the pose in which the robot is locked now."""
-    from bench.calibration.calibration import CalibrationKind
-
     configuration = context.ensure_object(Session).configuration()
     known = _known_zeros(configuration)
     sign = sign or known.sign
@@ -121,9 +118,7 @@ def encoders(
     }
     if zero_counts is not None and not remounted:
         _require_known_zeros(zero_counts, sign, configuration, known)
-    _add(
-        context, CalibrationKind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_
-    )
+    _add(context, "encoders", content, method or "counts entered", by, expires_days, note, json_)
 
 
 @app.command()
@@ -139,11 +134,9 @@ def ball(
     json_: Json = False,
 ) -> None:
     """Set the position of the ball's centre on its tee, in the swing plane, for the configured club."""
-    from bench.calibration.calibration import CalibrationKind
-
     mounted = context.ensure_object(Session).configuration().swing.club
     content = {"x": x, "y": y, "uncertainty": uncertainty_mm / 1e3, "club": mounted}
-    _add(context, CalibrationKind.BALL, content, method, by, expires_days, note, json_)
+    _add(context, "ball", content, method, by, expires_days, note, json_)
 
 
 @app.command()
@@ -171,8 +164,6 @@ def club(
 
     Standard uncertainties: --length-uncertainty-mm and --angle-uncertainty-deg.
     """
-    from bench.calibration.calibration import CalibrationKind
-
     content = {
         "club": name or context.ensure_object(Session).configuration().swing.club,
         "length_to_face": length,
@@ -181,7 +172,7 @@ def club(
         "length_uncertainty": length_uncertainty_mm / 1e3,
         "angle_uncertainty": radians(angle_uncertainty_deg),
     }
-    _add(context, CalibrationKind.CLUB, content, method, by, expires_days, note, json_)
+    _add(context, "club", content, method, by, expires_days, note, json_)
 
 
 @app.command()
@@ -197,10 +188,8 @@ def valves(
     json_: Json = False,
 ) -> None:
     """Set the valves' centres and dead bands."""
-    from bench.calibration.calibration import CalibrationKind
-
     content = {"centre": centre, "dead_band": dead_band, "uncertainty": uncertainty}
-    _add(context, CalibrationKind.VALVES, content, method, by, expires_days, note, json_)
+    _add(context, "valves", content, method, by, expires_days, note, json_)
 
 
 app.command()(inputs)
@@ -268,7 +257,7 @@ def show(context: typer.Context, json_: Json = False) -> None:
 
 def _add(
     context: typer.Context,
-    kind: CalibrationKind,
+    kind: str,
     content: dict[str, Any],
     method: str,
     by: str,
@@ -278,9 +267,9 @@ def _add(
 ) -> None:
     """Check `content` against its ranges and this bench, store it, and say so."""
     from bench.calibration.archive import keep_calibration
-    from bench.calibration.calibration import in_words, require_plausible, values_of
+    from bench.calibration.calibration import CalibrationKind, in_words, require_plausible, values_of
 
-    values = values_of(kind, content, f"calibrate {kind}")
+    values = values_of(CalibrationKind(kind), content, f"calibrate {kind}")
     configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     require_plausible(values, configuration)
     entry = keep_calibration(

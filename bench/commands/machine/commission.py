@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError
 from bench.commands.common import (
     Session,
@@ -251,9 +251,7 @@ def _write_robot(
     made = datetime.fromisoformat(measured) if measured else datetime.now(UTC)
     learned = file.with_name(LEARNED_FILE)
     profile = learned if following and learned.exists() else None
-    with atomic_file(file) as stream:
-        text = robot_file(known, state.configuration, made, envelope, following, profile, file)
-        stream.write(text.encode())
+    write_whole(file, robot_file(known, state.configuration, made, envelope, following, profile, file))
 
 
 def inputs_in_force(configuration: Configuration, now: datetime, interrupted: str) -> str | None:
@@ -313,7 +311,6 @@ class _Machine(NamedTuple):
 def _simulated(
     configuration: Configuration, truth: Configuration, *, inputs_only: bool = False
 ) -> Iterator[_Machine]:
-    """Yield the robot of `truth`, simulated in lock-step."""
     from bench.commissioning.machine.commissioning_step import SimulatedSeries
     from bench.commissioning.machine.driver_machine import SimulatedMachine
 
@@ -431,8 +428,7 @@ def _loads(machine: SimulatedMachine) -> str:
 def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
     from bench.commissioning.commissioning import commissioning_report
 
-    with atomic_file(state.folder / "report.html") as stream:
-        stream.write(commissioning_report(state, nominal, datetime.now(UTC)).encode())
+    write_whole(state.folder / "report.html", commissioning_report(state, nominal, datetime.now(UTC)))
 
 
 def _show(state: Commissioning) -> None:

@@ -469,7 +469,6 @@ def daq_cards() -> ItemResult:
 
 
 def _child(question: str) -> Any:
-    """Return the answer of this module as a program."""
     return json.loads(_run("-m", "bench.commands.machine.doctor", question))
 
 

@@ -155,7 +155,6 @@ def compare(
 
 
 def _motion(plant: PlantParameters, text: str) -> SwingMotion:
-    """Return the motion that `text` names."""
     from bench.golfer.comparison import golfer_motion, golfer_named, robot_motion
     from bench.golfer.golfer_file import SUFFIX
     from bench.swing.profile import load_profile

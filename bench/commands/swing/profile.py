@@ -255,7 +255,6 @@ _FIGURES = (
 
 
 def _outcome_record(result: SwingResult, time: datetime) -> dict[str, Any]:
-    """Return the swing's figures as JSON; units are in the names."""
     shot = asdict(result.shot(1, time_utc=time).shot)
     shot["time_utc"] = time.isoformat(timespec="seconds")
     return {
@@ -271,7 +270,6 @@ def _outcome_record(result: SwingResult, time: datetime) -> dict[str, Any]:
 
 
 def _outcome_table(result: SwingResult, plant: PlantParameters, record: Mapping[str, Any]) -> Table:
-    """Return the swing's figures and loads as a table."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_header=False, title_justify="left")
     table.title = Text(result.reason or "a valid shot", "bold red" if result.reason else "bold green")
     table.add_column(no_wrap=True)
