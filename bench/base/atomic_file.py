@@ -58,6 +58,12 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
         yield stream
 
 
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write `content`, a text in UTF-8, to `path` all at once or never; raises as `atomic_path`."""
+    with atomic_file(path) as stream:
+        stream.write(content.encode() if isinstance(content, str) else content)
+
+
 def nearest_entry(path: Path) -> Path:
     """Return `path` or the nearest entry above it, also a link that leads nowhere."""
     return next(above for above in (path.absolute(), *path.absolute().parents) if os.path.lexists(above))

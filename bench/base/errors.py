@@ -42,28 +42,24 @@ class BenchError(Exception):
         found: the value found there.
         expected: valid values, with their unit.
         action: what to do.
+        code: exit code in place of that of its class.
     """
 
     exit_code = ExitCode.BAD_INPUT
 
-    def __init__(self, location: str, found: str, expected: str, action: str) -> None:
+    def __init__(
+        self, location: str, found: str, expected: str, action: str, *, code: ExitCode | None = None
+    ) -> None:
         super().__init__(location, found, expected, action)
-        self.location = location
-        self.found = found
-        self.expected = expected
-        self.action = action
+        self.location, self.found, self.expected, self.action = location, found, expected, action
+        self.exit_code = code or self.exit_code
 
     def __str__(self) -> str:
         return f"{self.location}: found {self.found}, expected {self.expected}. {self.action}"
 
     def record(self) -> dict[str, str]:
         """Return the parts by their names."""
-        return {
-            "location": self.location,
-            "found": self.found,
-            "expected": self.expected,
-            "action": self.action,
-        }
+        return {name: getattr(self, name) for name in ("location", "found", "expected", "action")}
 
 
 class Refused(BenchError):

@@ -317,27 +317,21 @@ def _fault(error: Exception) -> BenchError:
             return BenchError("command line", found, "valid usage", "See golfbench COMMAND --help.")
         case DriverError():
             expected, action = "a device that works", "Check cable, power, driver and port."
-            return _failure(ExitCode.DEVICE, "device", str(error), expected, action)
+            return BenchError("device", str(error), expected, action, code=ExitCode.DEVICE)
         case FileNotFoundError() if not _has_working_directory():
             expected, action = "a folder that exists", "Change to a folder that exists."
-            return _failure(ExitCode.FILE, "working directory", "it was deleted", expected, action)
+            return BenchError("working directory", "it was deleted", expected, action, code=ExitCode.FILE)
         case OSError(filename=str() | bytes() | Path()):
             return _unusable(os.fsdecode(error.filename), error)
         case OSError(errno=errno.ENOSPC | errno.EDQUOT | errno.EIO | errno.EROFS):
             return _unusable("standard output or a file", error)
     found, action = f"{type(error).__name__}: {error}", "Report it with the output of golfbench --debug."
-    return _failure(ExitCode.INTERNAL, "internal error", found, "no error", action)
+    return BenchError("internal error", found, "no error", action, code=ExitCode.INTERNAL)
 
 
 def _unusable(location: str, error: OSError) -> BenchError:
     expected, action = "a file or folder that can be used", "Check path, rights and disk space."
-    return _failure(ExitCode.FILE, location, error.strerror or str(error), expected, action)
-
-
-def _failure(code: ExitCode, location: str, found: str, expected: str, action: str) -> BenchError:
-    fault = BenchError(location, found, expected, action)
-    fault.exit_code = code
-    return fault
+    return BenchError(location, error.strerror or str(error), expected, action, code=ExitCode.FILE)
 
 
 def _has_working_directory() -> bool:

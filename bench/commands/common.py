@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from bench.base.atomic_file import NotStored
+from bench.base.atomic_file import NotStored, write_whole
 from bench.base.errors import BenchError, ExitCode
 
 if TYPE_CHECKING:
@@ -236,12 +236,9 @@ def console_of(piped_width: int) -> Console:
 
 def write_text(text: str, output: Path | None) -> None:
     """Write `text` whole to the file `output`, or to standard output without one."""
-    from bench.base.atomic_file import atomic_file
-
     if output is None:
         return typer.echo(text, nl=False)
-    with atomic_file(output) as stream:
-        stream.write(text.encode())
+    write_whole(output, text)
 
 
 def finite(value: Any) -> Any:

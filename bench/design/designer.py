@@ -271,7 +271,6 @@ def _delivered(state: NDArray[Any], parameters: PlantParameters) -> Array:
 
 
 def _said(status: str) -> str:
-    """Return the `status` of a plan as text."""
     return status.lower().replace("_", " ")
 
 

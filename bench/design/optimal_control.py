@@ -62,7 +62,6 @@ _PRICE = {"time": 5.0, "rise": 10.0, "speed": 10.0}
 """Prices of concessions, where deviations cost about one: a downswing twice as long, a rad, a m/s. They are
 linear, so that only necessary concessions are made, the speed last: a degree is worth some m/s."""
 _ITERATIONS = 600
-"""Max number of the optimizer's iterations."""
 _OPTIONS: dict[str, Any] = {
     "ipopt": {"print_level": 0, "sb": "yes", "max_iter": _ITERATIONS, "tol": 1e-5, "acceptable_tol": 1e-4}
     | {"acceptable_iter": 8, "mu_strategy": "monotone", "linear_solver": "mumps"},
@@ -70,7 +69,6 @@ _OPTIONS: dict[str, Any] = {
     "error_on_fail": False,
     "expand": True,
 }
-"""Settings of the optimizer."""
 _SLEW = 150.0
 """Max slew rate of a valve command (1/s)."""
 _RADAU = 2

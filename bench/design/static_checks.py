@@ -126,11 +126,7 @@ def rate_faults(profile: Profile, plant: PlantParameters, location: str | None =
 def require_possible(
     profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, location: str | None = None
 ) -> None:
-    """Refuse a swing that is impossible.
-
-    Raises:
-        ExceptionGroup: one BenchError per reason.
-    """
+    """Refuse a swing that is impossible; raises ExceptionGroup: one BenchError per reason."""
     if faults := profile_faults(profile, plant, envelope, location):
         raise ExceptionGroup(f"{location or profile.name} cannot be swung here", faults)
 

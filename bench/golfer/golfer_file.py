@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError
 from bench.base.from_toml import read_toml
 from bench.base.to_toml import toml_value
@@ -248,10 +248,8 @@ def save_golfer(folder: Path, name: str, swing: MeasuredSwing, capture: Capture,
     for heading, table_of in (("", about), ("markers", roles.markers), ("definitions", DEFINITIONS)):
         lines += ["", f"[{heading}]"] if heading else []
         lines += [f"{key} = {toml_value(value)}" for key, value in table_of.items()]
-    with atomic_file(table) as stream:
-        stream.write(content)
-    with atomic_file(path) as stream:
-        stream.write(("\n".join(lines) + "\n").encode())
+    write_whole(table, content)
+    write_whole(path, "\n".join(lines) + "\n")
     return path
 
 

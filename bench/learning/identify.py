@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError, Refused
 from bench.base.lifecycle import Phase
 from bench.base.to_toml import toml_value
@@ -258,5 +258,4 @@ def write_plant_file(
     club = plant.robot.club
     lines.append(f"clubs.{club.name}.head_mass = {toml_value(club.head_mass)}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_file(path) as stream:
-        stream.write("\n".join([*lines, ""]).encode())
+    write_whole(path, "\n".join([*lines, ""]))

@@ -13,7 +13,6 @@ from bench.base.lifecycle import REFUSAL_WORDS, Block, Cause, Phase, Reaction, R
 from drivers.base.ranges import Count
 
 STATUS_VERSION = 1
-"""Version of `BenchStatus`."""
 
 
 class ArmingBlock(TypedDict):

@@ -107,15 +107,11 @@ def read_identity(folder: Path, name: str) -> Identity:
         path = folder / f"{name}.key"
         key = serialization.load_pem_private_key(path.read_bytes(), None)
     except OSError as error:
-        fault = BenchError(
-            str(path), error.strerror or str(error), "a readable file", f"Restore {path} from a backup."
-        )
-        fault.exit_code = ExitCode.FILE
-        raise fault from None
+        found, action = error.strerror or str(error), f"Restore {path} from a backup."
+        raise BenchError(str(path), found, "a readable file", action, code=ExitCode.FILE) from None
     except (ValueError, TypeError) as error:
-        raise BenchError(
-            str(path), str(error), "a certificate or key, PEM", f"Restore {path} from a backup."
-        ) from None
+        action = f"Restore {path} from a backup."
+        raise BenchError(str(path), str(error), "a certificate or key, PEM", action) from None
     if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
         raise BenchError(str(path), "another key", f"the key of {name}.pem", f"Restore {path} from a backup.")
     return Identity(certificate, key)

@@ -564,11 +564,7 @@ def action_of(status: BenchStatus) -> str:
 
 
 def checked_status(read: Any) -> BenchStatus:
-    """Return `read` as a status.
-
-    Raises:
-        BenchError: it is incomplete or of another version.
-    """
+    """Return `read` as a status; raises BenchError: it is incomplete or of another version."""
     expected = f"a status of version {STATUS_VERSION}"
     if not isinstance(read, dict) or read.get("version") != STATUS_VERSION:
         raise not_understood(repr(read)[:60], expected)

@@ -292,11 +292,7 @@ def encode_error(error: BenchError) -> bytes:
 
 
 def parse_answer(payload: bytes) -> CommandAnswer:
-    """Return the answer in `payload`.
-
-    Raises:
-        BenchError: it is no answer of this version.
-    """
+    """Return the answer in `payload`; raises BenchError: it is no answer of this version."""
     match json_object(payload):
         case {
             "version": 1,

@@ -13,7 +13,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
 from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple, cast
 
@@ -324,7 +323,11 @@ class CommandPlane:
         except BenchError as error:
             self._answer_error(query, error)
             return
-        is_late = partial(self._is_late, command, arrived)
+        ages = command.verb in _REQUESTED and command.form not in _NEVER_LATE
+
+        def is_late() -> bool:
+            return ages and self._clock() - arrived > MAX_REQUEST_WAIT
+
         if is_late():
             self._refuse(query, verb, Refusal.TOO_LATE)
             return
@@ -335,11 +338,6 @@ class CommandPlane:
         except Exception as error:  # the client gets an answer to any error of the service
             answer = self._failed(error)
         self._answer(query, verb, answer)
-
-    def _is_late(self, command: ParsedCommand, arrived: float) -> bool:
-        if command.verb not in _REQUESTED or command.form in _NEVER_LATE:
-            return False
-        return self._clock() - arrived > MAX_REQUEST_WAIT
 
     def _obey(self, command: ParsedCommand, is_late: Callable[[], bool]) -> CommandAnswer:
         verb, key, sequence = command.verb, command.key, command.sequence

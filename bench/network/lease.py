@@ -111,20 +111,12 @@ class LeaseBook:
         return self._lease
 
     def renew(self, key: str, sequence: int, seconds: float, now: float) -> Lease:
-        """Renew the lease of `key` for `seconds` from `now`, even if more was left.
-
-        Raises:
-            LeaseRefused: as `use`.
-        """
+        """Renew the lease of `key` for `seconds` from `now`, even if more was left; raises as `use`."""
         self._lease = replace(self.use(key, sequence, now), expiry=now + seconds, seconds=seconds)
         return self._lease
 
     def release(self, key: str, sequence: int, now: float) -> None:
-        """End the lease of `key`.
-
-        Raises:
-            LeaseRefused: as `use`.
-        """
+        """End the lease of `key`; raises as `use`."""
         self.use(key, sequence, now)
         self._lease = None
 

@@ -40,9 +40,7 @@ from bench.records.telemetry.cycle_record import (
 from drivers.launch_monitor.record import MatchOutcome
 
 LOOP_VERSION = 1
-"""Version of `LoopMessage`."""
 CAMPAIGN_VERSION = 1
-"""Version of `CampaignMessage`."""
 
 
 class ChangeEvent(TypedDict):

@@ -140,7 +140,8 @@ class ClusterEngine:
             self._client.wait_for_workers(1, CONNECT_TIMEOUT)
         except TimeoutError:
             action = f"Start some: golfbench cluster --join {self._address}."
-            raise _fault(self._address, "no workers", "at least one", action, ExitCode.DEVICE) from None
+            where = f"cluster {self._address}"
+            raise BenchError(where, "no workers", "at least one", action, code=ExitCode.DEVICE) from None
 
 
 @contextmanager
@@ -193,16 +194,12 @@ def _run(shared: SharedStudy, batch: CaseBatch) -> BatchDone:
 def _lost(address: str, why: str) -> BenchError:
     action = "Start the scheduler (golfbench cluster), then run the command again: stored cases are skipped."
     found = why.strip().splitlines()[0]
-    return _fault(address, found, "a scheduler that answers", action, ExitCode.NO_ANSWER)
+    expected, code = "a scheduler that answers", ExitCode.NO_ANSWER
+    return BenchError(f"cluster {address}", found, expected, action, code=code)
 
 
 def _killing(address: str, batch: CaseBatch) -> BenchError:
     found = f"a batch whose workers died {_TRIES} times: {batch.cases[0]}"
     action = "Look for lack of memory in the workers' logs. Stored cases are kept."
-    return _fault(address, found, "workers that run their cases", action, ExitCode.DEVICE)
-
-
-def _fault(address: str, found: str, expected: str, action: str, code: ExitCode) -> BenchError:
-    fault = BenchError(f"cluster {address}", found, expected, action)
-    fault.exit_code = code
-    return fault
+    expected, code = "workers that run their cases", ExitCode.DEVICE
+    return BenchError(f"cluster {address}", found, expected, action, code=code)

@@ -220,7 +220,6 @@ class HealthyRun(NamedTuple):
     cause: Cause
     """Cause of a stopped swing; NONE if both swings returned to the address."""
     stops: int
-    """Number of stops."""
     escalated: tuple[str, ...]
     """Stops that became more severe than requested, by phase and kind, or after which arming was stopped."""
 

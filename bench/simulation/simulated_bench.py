@@ -137,10 +137,8 @@ class SimulatedBench:
         }
 
 
-def simulate_swing(
-    bench: SimulatedBench, ball: Ball | None = None, *, stop: Callable[[], bool] = never
-) -> SwingResult:
-    """Arm a vented `bench`, swing once at `ball` (default: the plant's) and return the result.
+def simulate_swing(bench: SimulatedBench, *, stop: Callable[[], bool] = never) -> SwingResult:
+    """Arm a vented `bench`, swing once at the plant's ball and return the result.
 
     When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true, the stopping table brings the
     robot to rest, and the passive command is sent; the result is then `interrupted`.
@@ -158,7 +156,7 @@ def simulate_swing(
         if stop():
             engine.rest()
             raise KeyboardInterrupt
-        return powered.swing(ball or bench.plant.ball)
+        return powered.swing(bench.plant.ball)
     finally:
         engine.stepper.make_passive()
 
@@ -334,7 +332,6 @@ class ReturnFailed(Refused):
     """The robot swung, and does not come back to its address."""
 
     swing: SeriesSwing
-    """The swing."""
 
 
 class ArmingFailed(Refused):

@@ -304,11 +304,7 @@ class LocalProcesses:
         return self._count
 
     def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
-        """Yield batches as they are done.
-
-        Raises:
-            BenchError: processes die again and again.
-        """
+        """Yield batches as they are done; raises BenchError: processes die again and again."""
         again: deque[CaseBatch] = deque()
         lost = 0
         while lost < _LOST_IN_A_ROW:
@@ -322,14 +318,9 @@ class LocalProcesses:
                 except BrokenProcessPool:
                     lost += 1
             again.extend(waiting.values())
-        fault = BenchError(
-            f"sweep with {self._count} processes",
-            f"processes that died {lost} times in a row",
-            "processes that run their cases",
-            "Look for lack of memory in the system's log; try --processes 1. Stored cases are kept.",
-        )
-        fault.exit_code = ExitCode.DEVICE
-        raise fault
+        location, found = f"sweep with {self._count} processes", f"processes that died {lost} times in a row"
+        action = "Look for lack of memory in the system's log; try --processes 1. Stored cases are kept."
+        raise BenchError(location, found, "processes that run their cases", action, code=ExitCode.DEVICE)
 
 
 def local_engine(processes: int = 0, cases: int = 2) -> Engine:

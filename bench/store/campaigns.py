@@ -73,11 +73,7 @@ class CampaignStore:
         self._writer, self._writes = secrets.token_hex(16), 0
 
     def begin(self, entry: CampaignEntry) -> None:
-        """Add a campaign.
-
-        Raises:
-            Refused: the id exists already.
-        """
+        """Add a campaign; raises Refused: the id exists already."""
         standing = Standing(CampaignState.RUNNING, "", "")._asdict()
         values = asdict(entry) | standing | {"number": _next(CAMPAIGNS.c.number)}
         try:
@@ -87,11 +83,7 @@ class CampaignStore:
             raise Refused(location, "the id exists already", "a new id", action) from None
 
     def entry(self, campaign: str) -> CampaignEntry:
-        """Return a campaign's entry.
-
-        Raises:
-            BenchError: there is no such campaign.
-        """
+        """Return a campaign's entry; raises BenchError: there is no such campaign."""
         query = select(*(CAMPAIGNS.c[name] for name in _ENTRY)).where(CAMPAIGNS.c.id == campaign)
         if not (rows := self._found(query)):
             action = "See golfbench campaign list."
@@ -150,11 +142,7 @@ class CampaignStore:
         self._execute(insert(EVENTS).values(campaign=campaign, **event._asdict()))
 
     def note_issue(self, campaign: str, issue: Event, number: int) -> None:
-        """Add the issue of a report as the one with `number`.
-
-        Raises:
-            Refused: another one has that number.
-        """
+        """Add the issue of a report as the one with `number`; raises Refused: another one has that number."""
         c = EVENTS.c
         issues = select(func.count()).where((c.campaign == campaign) & (c.kind == issue.kind))
 
@@ -194,11 +182,7 @@ class CampaignStore:
         return int(self._found(select(func.max(c.shot)).where(c.campaign == campaign))[0][0] or 0)
 
     def add_note(self, campaign: str, note: ShotNote) -> None:
-        """Add a person's note on a shot.
-
-        Raises:
-            Refused: there is no such shot.
-        """
+        """Add a person's note on a shot; raises Refused: there is no such shot."""
         last = self.last_shot(campaign)
         if not 1 <= note.shot <= last:
             expected = f"a shot from 1 to {last}" if last else "a shot, once there is one"

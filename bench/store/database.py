@@ -376,10 +376,8 @@ def _fault_of(error: DatabaseError, location: str, *, read_only: bool) -> BenchE
         expected = "a database that was closed cleanly, or write access to it"
         action = "Copy its folder to a disk that can be written, and read it there."
         is_file_fault = False
-    fault = BenchError(location, found, expected, action)
-    if is_file_fault:
-        fault.exit_code = ExitCode.FILE
-    return fault
+    code = ExitCode.FILE if is_file_fault else None
+    return BenchError(location, found, expected, action, code=code)
 
 
 def is_read_only(file: Path) -> bool:

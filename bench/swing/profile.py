@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, as_tree, format_value, read_toml
 from bench.base.json_schema import require_fit
@@ -441,8 +441,7 @@ def save_profile(path: Path, profile: Profile) -> Path:
     )
     text = "\n".join([*_head(profile, SCHEMA), *beside, *_tail(profile)]) + "\n"
     for file, stored in ((table, content), (path, text.encode())):
-        with atomic_file(file) as stream:
-            stream.write(stored)
+        write_whole(file, stored)
     return table
 
 

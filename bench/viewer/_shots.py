@@ -149,7 +149,6 @@ class ShotSeries:
         return np.array([left, -far]), far - near
 
     def _show(self, entity: str, times: list[rr.TimeColumn], columns: Any, style: Any) -> None:
-        """Log `columns` at `times` in a constant `style`."""
         self._scene.recording.send_columns(entity, times, columns)
         self._scene.recording.log(entity, style, static=True)
 

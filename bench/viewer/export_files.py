@@ -33,7 +33,7 @@ import numpy as np
 import pyarrow.csv as pc
 from scipy.io import savemat
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import atomic_file, write_whole
 from bench.base.errors import load_extra
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.records.telemetry.cycle_record import (
@@ -92,19 +92,14 @@ def write_csv(path: Path, record: SwingRecord) -> list[Path]:
         "golfbench": record.metadata,
     }
     beside = path.with_name(f"{path.name}-metadata.json")
-    with atomic_file(beside) as stream:
-        stream.write(json.dumps(metadata, indent=1, allow_nan=False).encode())
+    write_whole(beside, json.dumps(metadata, indent=1, allow_nan=False))
     with atomic_file(path) as stream:
         pc.write_csv(table, stream, pc.WriteOptions(quoting_style="needed"))
     return [path, beside]
 
 
 def write_mat(path: Path, record: SwingRecord) -> list[Path]:
-    """Write `record` to `path` and return it.
-
-    Raises:
-        NotStored: it cannot be stored.
-    """
+    """Write `record` to `path` and return it; raises NotStored: it cannot be stored."""
     cycles = record.cycles
     variables = {
         "cycles": {f.name: cycles[f.name].reshape(len(cycles), len(f.columns)) for f in FIELDS},
@@ -151,8 +146,7 @@ def write_mcap(path: Path, record: SwingRecord) -> list[Path]:
         writer.add_metadata("golfbench", {key: json.dumps(value) for key, value in record.metadata.items()})
         writer.finish()
     layout = path.with_name(LAYOUT)
-    with atomic_file(layout) as stream:
-        stream.write(resources.files("bench.viewer").joinpath(LAYOUT).read_bytes())
+    write_whole(layout, resources.files("bench.viewer").joinpath(LAYOUT).read_bytes())
     return [path, layout]
 
 

@@ -53,15 +53,12 @@ class FeedCounts(NamedTuple):
     """Lost and invalid messages since the feed was opened."""
 
     batches: int = 0
-    """Received batches."""
     lost_batches: int = 0
     """Batches lost on the network or in this viewer's queue: gaps of the publisher's numbers."""
     lost_cycles: int = 0
     """Cycles lost in the ring, before the publisher."""
     invalid: int = 0
-    """Invalid messages."""
     restarts: int = 0
-    """Restarts of the publisher."""
 
 
 class Feed:

@@ -147,7 +147,6 @@ def static_files() -> dict[str, tuple[bytes, str]]:
 
 
 MAX_RECORDS = 30
-"""Max number of listed records."""
 REPORT: tuple[str, dict[str, str]] = (
     "text/html; charset=utf-8",
     {

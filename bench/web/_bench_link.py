@@ -108,7 +108,6 @@ def _cause(cause: CauseStatus | None) -> dict[str, str] | None:
 TOPICS = ("state", "event", "shot", "loop")
 """Messages of the bench that the page shows; telemetry at 1 kHz is left to the viewer."""
 EVENTS = 30
-"""Number of events that are kept."""
 TIMEOUT = 1.5
 """Time-out of the bench's answer to a command, s."""
 
@@ -144,9 +143,6 @@ class BenchLink:
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
         self._state = ""
         self._thread = Thread(target=self._follow, name="page-bench", daemon=True)
-
-    def start(self) -> None:
-        """Begin to connect and follow."""
         self._thread.start()
 
     def close(self) -> None:
@@ -312,9 +308,6 @@ class TopicPoller:
         """`looks` are functions that return the content of a topic; one that raises is called again."""
         self._broadcaster, self._looks, self._ended = broadcaster, looks, Event()
         self._thread = Thread(target=self._work, name="page-poller", daemon=True)
-
-    def start(self) -> None:
-        """Begin to look."""
         self._thread.start()
 
     def close(self) -> None:

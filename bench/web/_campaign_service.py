@@ -30,7 +30,6 @@ from bench.web._command_line import BackgroundCommand, CommandLine
 from bench.web._last_swing import swing_view
 
 MAX_LISTED = 50
-"""Max number of listed campaigns."""
 STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
 REQUESTS = {"pause": "pause", "stop": "stop", "abort": "abort", "resume": ""}
 """Requests to a campaign's runner, by their name on the page."""
@@ -231,7 +230,6 @@ class CampaignService:
 
 
 def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
-    """Return the control charts of the section of the last shot."""
     from bench.campaign.statistics.control_chart import control_charts
 
     if not shots:

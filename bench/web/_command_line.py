@@ -28,7 +28,6 @@ from bench.base.errors import FOR_PROGRAMS, BenchError, Refused
 NICE = 10
 """Nice value of a command, equal to that of the page's service."""
 MAX_COMMANDS = 2
-"""Max number of commands at a time."""
 COMMAND_TIMEOUT = 180.0
 """Time after which a command is ended, s."""
 _MAX_WORDS_LENGTH = 2000

@@ -99,7 +99,6 @@ def _unstored(now: datetime) -> dict[str, Any]:
 
 
 def _newest_swing(ring: Path, plant: PlantParameters) -> np.ndarray[Any, Any] | None:
-    """Return the cycles of the newest swing in the `ring`."""
     past = round(PAST / plant.tick)
     reader = RingReader(ring, past=past)
     try:

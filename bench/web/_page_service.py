@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 MAX_DOWNLOADS = 8
-"""Max number of downloads at a time."""
 PART = 1 << 16
 """Size of a part of a file, bytes."""
 TICKET = "golfbench-ticket"
@@ -220,7 +219,6 @@ class PageService:
             self._open -= 1
 
     async def _looked_up(self, work: Callable[[], T]) -> T:
-        """Return the outcome of `work`, done in the threads for lookups."""
         return await asyncio.get_running_loop().run_in_executor(self._pools[Pool.LOOKUPS], work)
 
     async def answered(self, pool: Pool, work: Callable[[], Any]) -> Response:

@@ -158,7 +158,6 @@ def _chosen(body: Mapping[str, Any], key: str) -> list[str]:
 MAX_NAMES = 50
 """Max number of balls, clubs or swings in a new plan."""
 MAX_BLOCKS = 200
-"""Max number of blocks in a preview."""
 
 
 class StartService:
@@ -363,7 +362,6 @@ def _air(configuration: Configuration, now: datetime) -> dict[str, Any] | None:
 # Commissionings --------------------------------------------------------------------------------------
 
 MAX_LISTED = 10
-"""Max number of listed commissionings."""
 MAX_FOLDER_LENGTH, MAX_REPAIRED = 121, 200
 FILES = {"report": "report.html", "robot": "robot.toml"}
 """Files of a commissioning by their names on the page."""

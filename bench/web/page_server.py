@@ -80,6 +80,7 @@ def serve_page(
             lambda running: reader.offer_ring(ring, running=running),
             reader.offer_shot,
         )
+        stack.callback(link.close)
         service = PageService(link, broadcaster, access, secure=bool(address.identity))
         stack.callback(service.close)
         program = CommandLine(golfbench)
@@ -96,15 +97,11 @@ def serve_page(
             program, log, broadcaster.publish, "commissioner", expected=(ExitCode.REFUSED, -signal.SIGTERM)
         )
         commissionings = CommissioningService(settings, program, command)
-        link.start()
-        stack.callback(link.close)
         looks = {
             "commissioning": commissionings.view,
             "campaigns": lambda: campaigns.running(link.client().campaigns()),
         }
-        poller = TopicPoller(broadcaster, looks)
-        poller.start()
-        stack.callback(poller.close)
+        stack.callback(TopicPoller(broadcaster, looks).close)
         application = page_application(service, campaigns, starts, commissionings, address.scheme, hosts)
         asyncio.run(_serve(application, link, broadcaster, address, listener, ready))
 

@@ -16,10 +16,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from bench.base.atomic_file import write_whole
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.campaign_record import load_record
-from bench.campaign.report.campaign_report import write_campaign_report
+from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
 from bench.campaign.run._simulated_shots import BEGIN, SimulatedShots
 from bench.campaign.run.plan_requirements import require_swings
@@ -123,7 +124,9 @@ def _reported(folder: Path, shots: int) -> list[Row]:
         store.add(entry, [StoredShot(shot) for shot in drawn])
         begun = time.perf_counter()
         record = load_record(store, entry)
-        write_campaign_report(folder / "report.html", record, findings(record.plan, record.shots))
+        write_whole(
+            folder / "report.html", render_campaign_report(record, findings(record.plan, record.shots))
+        )
         took = time.perf_counter() - begun
     size = (folder / "report.html").stat().st_size / 1e6
     note = f"of {len(drawn)} shots, {size:.1f} MB"

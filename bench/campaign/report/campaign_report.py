@@ -7,12 +7,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import zip_longest
 from math import inf
-from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from bench.base.atomic_file import atomic_file
 from bench.campaign.interruptions import software_versions
 from bench.campaign.plan.carry import measured_of
 from bench.campaign.plan.plan import NAMES, levels
@@ -98,28 +96,15 @@ LIMITS = (
 )
 
 
-def write_campaign_report(
-    path: Path, record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI
-) -> None:
-    """Write the report to `path` atomically; the same record gives the same bytes.
-
-    `units` are also those of the sentences of `found`.
-
-    Raises:
-        BenchError: it cannot be stored.
-        ValueError: there are no shots.
-    """
-    text = render_campaign_report(record, found, units)
-    with atomic_file(path) as stream:
-        stream.write(text.encode())
-
-
 def render_campaign_report(
     record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI, worn: Figure | None = None
 ) -> str:
     """Return the report as HTML, all figures in `units`, as the sentences of `found` are.
 
-    `worn` is the chart of the robot's worn parts.
+    The same record gives the same bytes. `worn` is the chart of the robot's worn parts.
+
+    Raises:
+        ValueError: there are no shots.
     """
     if not record.shots:
         raise ValueError("a report needs at least one shot")

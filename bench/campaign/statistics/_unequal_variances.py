@@ -67,7 +67,6 @@ class Units(NamedTuple):
     of_shot: Codes
     """Unit of each shot, from 0."""
     level: Codes
-    """Level of each unit."""
     balls: Codes
     """Number of balls of each level."""
 
@@ -101,7 +100,6 @@ class UnitErrors(NamedTuple):
     sums: Array
     """(units, units): covariance of the sums of residuals of all units; empty for many units."""
     level: Codes
-    """Level of each unit."""
     pooled: bool
     """Whether all levels have one variance."""
 

@@ -15,10 +15,13 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
 
 from bench.base.errors import BenchError, Refused
+from bench.base.lifecycle import Reaction, Refusal, State
 from bench.commands.common import Json, Session, exit_unless, flag, option, show_json, user_name
 from bench.network.lease import DEFAULT_SECONDS, MAX_SECONDS, MIN_SECONDS
+from bench.network.status_words import MOVING, REACTION_WORDS, state_line
 
 if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus, CommandAnswer
@@ -101,7 +104,6 @@ def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> 
 @app.command(rich_help_panel=PANEL)
 def disarm(context: typer.Context) -> None:
     """Disarm: vent if at rest, otherwise brake first."""
-    from bench.base.lifecycle import Refusal
     from bench.network.client import CommandRefused
 
     with _client(context) as bench:
@@ -399,15 +401,11 @@ def _status_line() -> Iterator[Callable[[str], object]]:
     if not sys.stderr.isatty():
         yield lambda text: None
         return
-    from rich.console import Console
-
     with Console(stderr=True).status("") as line:
         yield line.update
 
 
 def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
-    from bench.base.lifecycle import Reaction, State
-    from bench.network.status_words import MOVING, REACTION_WORDS
     from bench.network.zenoh_session import NoAnswer
 
     with _client(context, stopping=True) as bench:
@@ -428,9 +426,6 @@ def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -
 
 
 def _tell(bench: BenchClient) -> None:
-    """Show the state with its cause and the next command."""
-    from bench.network.status_words import state_line
-
     typer.echo(state_line(bench.status()))
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import signal
 import sys
 from collections.abc import Sequence
+from contextlib import AsyncExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from ipaddress import ip_address
@@ -12,15 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.text import Text
 
-from bench.base.address import PAGE_PORT
+from bench.base.address import PAGE_PORT, IdentityFiles, identity_files
 from bench.base.errors import BenchError
-from bench.commands.common import Session, argument, flag, option, show_json
+from bench.commands.common import Session, argument, flag, option, plain_table, show_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from bench.base.address import IdentityFiles
     from bench.config import Configuration
     from bench.design.static_checks import Check
 
@@ -47,8 +51,6 @@ def run(
 
     It starts in ESTOP. Continue in another terminal: golfbench lease take, reset, home, arm, swing.
     """
-    import logging
-
     from bench.config import contradictions, unheard_phases
     from bench.supervisor.daemon import Daemon
 
@@ -87,8 +89,6 @@ def check(
 
     Exits with 2 and lists all mistakes.
     """
-    from rich.console import Console
-
     from bench.config import load_configuration, shipped_configuration
     from bench.config.files import configuration_text
     from bench.supervisor.readiness import assess_bench
@@ -135,9 +135,6 @@ def _summary(c: Configuration) -> str:
 
 
 def _check_table(checks: Sequence[Check]) -> Table:
-    from rich.text import Text
-
-    from bench.commands.common import plain_table
 
     marks = {True: Text("wrong", "bold red"), False: Text("ok", "green")}
     rows = ((marks[bool(one.faults)], *map(Text, (one.name, one.found, one.allowed))) for one in checks)
@@ -264,7 +261,6 @@ def cluster(
     """
     import asyncio
 
-    from bench.base.address import identity_files
     from bench.simulation.cluster_engine import load_distributed
 
     load_distributed()
@@ -282,9 +278,6 @@ def cluster(
 
 async def _serve(host: str, port: int, workers: int, join: str, files: IdentityFiles | None) -> None:
     import asyncio
-    import logging
-    import signal
-    from contextlib import AsyncExitStack
 
     import dask
     from distributed import Nanny, Scheduler

@@ -17,21 +17,16 @@ import typer
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.base.interrupt import stop_on_signals
 from bench.commands.common import Session, flag, option
+from bench.records.telemetry.encoder_preset import CalibratedShifts, moved_zero
+from bench.supervisor.ownership import bench_folder
+from drivers.base import DriverError, Launch
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.records.telemetry.encoder_preset import CalibratedShifts
-    from drivers.base import Launch
     from drivers.canopen.scan import ScannedNode
     from sim.nodes.personality import Personality
     from sim.nodes.wall_plant import NodesPlan
     from sim.simulated_monitor import MonitorParameters
-
-
-class NoDevice(BenchError):
-    """The bus of the nodes cannot be opened, or the simulated bench cannot be looked at."""
-
-    exit_code = ExitCode.DEVICE
 
 
 def nodes_plan(configuration: Configuration, folder: Path, encoder: str = "", io: str = "") -> NodesPlan:
@@ -199,12 +194,10 @@ def show_scan(configuration: Configuration) -> None:
     """Print the nodes on the bus of `configuration`.
 
     Raises:
-        BenchError: the configuration has no CANopen nodes.
-        NoDevice: the bus cannot be opened.
+        BenchError: the configuration has no CANopen nodes, or the bus cannot be opened.
         Refused: a configured node is missing or would be refused.
     """
     from bench.calibration.archive import calibration_of
-    from drivers.base import DriverError
     from drivers.canopen.scan import scan as scan_bus
 
     if (name := configuration.driver.name) != "canopen":
@@ -216,7 +209,8 @@ def show_scan(configuration: Configuration) -> None:
         found = scan_bus(bus, configuration.plant.encoders.counts_per_revolution)
     except DriverError as error:
         action = "Bring the interface up, as ip link set can0 up, then retry."
-        raise NoDevice(where, str(error), "an open CAN interface", action) from error
+        expected, code = "an open CAN interface", ExitCode.DEVICE
+        raise BenchError(where, str(error), expected, action, code=code) from error
     calibrated = calibration_of(configuration, datetime.now(UTC)).shifts
     found = [_compared(node, configuration, calibrated) for node in found]
     for node in found:
@@ -231,8 +225,6 @@ def _compared(
     node: ScannedNode, configuration: Configuration, calibrated: CalibratedShifts | None
 ) -> ScannedNode:
     """Return `node`, marked as refused if its encoder zero differs from the calibrated one."""
-    from bench.records.telemetry.encoder_preset import moved_zero
-
     numbers = configuration.canopen.encoders.nodes
     if calibrated is None or not node.taken or node.number not in numbers:
         return node
@@ -247,7 +239,6 @@ def _scan_lines(node: ScannedNode) -> list[str]:
 
 
 def _run_nodes(plan: NodesPlan) -> None:
-    """Run the simulated nodes of `plan` until SIGTERM or Ctrl-C."""
     import can
 
     from drivers.base.shared_memory import SharedMemoryError
@@ -261,7 +252,7 @@ def _run_nodes(plan: NodesPlan) -> None:
         run_nodes(plan, lambda how: typer.echo(f"nodes {numbers} live on {where} ({how})", err=True), wish)
     except (OSError, can.CanError, SharedMemoryError) as error:
         expected, action = "an open CAN interface", "Bring it up, or take --config local_can: it needs none."
-        raise NoDevice(f"nodes on {where}", str(error), expected, action) from error
+        raise BenchError(f"nodes on {where}", str(error), expected, action, code=ExitCode.DEVICE) from error
 
 
 # The launch monitor ----------------------------------------------------------------------------------
@@ -293,7 +284,6 @@ def launch_monitor(
     It measures the plant's balls with noise and faults, and sends them to the bench
     over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
     """
-    from bench.supervisor.ownership import bench_folder
     from sim.simulated_monitor import MonitorParameters
 
     c = context.ensure_object(Session).configuration()
@@ -310,7 +300,6 @@ def _run_monitor(
     parameters: MonitorParameters, c: Configuration, folder: Path, address: tuple[str, int]
 ) -> None:
     """Simulate the launch monitor of the plant in `folder` until SIGTERM or Ctrl-C."""
-    from drivers.base import Launch
     from drivers.base.shared_memory import SharedMemoryError
     from sim.exchange import ContactMonitor, warm_up
     from sim.simulated_monitor import ClubMotion, SimulatedMonitor
@@ -349,7 +338,7 @@ def _run_monitor(
                         f"{'connected to' if monitor.connected else 'not connected to'} the bench at {where}"
                     )
     except SharedMemoryError as error:
-        raise NoDevice(*error.args) from error
+        raise BenchError(*error.args, code=ExitCode.DEVICE) from error
     finally:
         monitor.close()
         watch.close()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError
 from bench.base.interrupt import stop_on_signals
 from bench.commands.common import Session, flag, option, progress_bar
@@ -175,8 +176,6 @@ def _view_bench(stack: ExitStack, options: Session, save: Path | None, web: bool
 
 def _writable(path: Path) -> Path:
     """Return `path` after checking that it can be written: Rerun does not report it."""
-    from bench.base.atomic_file import NotStored
-
     try:
         with path.open("wb"):
             return path

@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
+from bench.base.address import BenchSettings, database_url
+from bench.base.atomic_file import atomic_file
 from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import read_text
 from bench.commands.common import (
     Json,
     Session,
@@ -20,16 +23,18 @@ from bench.commands.common import (
     exit_unless,
     flag,
     option,
+    progress_of,
     show_json,
     user_name,
+    write_text,
 )
+from bench.records.shot.shot import shot_table_text
+from bench.store.rows import MAX_COMMENT_LENGTH, AirReading, CampaignEntry, ShotNote, amendment
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from bench.base.address import BenchSettings
     from bench.store.campaigns import CampaignStore, StoredShot
-    from bench.store.rows import CampaignEntry
 
 app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
 
@@ -52,7 +57,6 @@ Units = Annotated[
 @contextmanager
 def open_store(settings: BenchSettings) -> Iterator[CampaignStore]:
     """Open the campaigns of the bench."""
-    from bench.base.address import database_url
     from bench.store.campaigns import CampaignStore
     from bench.store.database import open_database
 
@@ -62,7 +66,6 @@ def open_store(settings: BenchSettings) -> Iterator[CampaignStore]:
 
 def has_store(settings: BenchSettings) -> bool:
     """Return whether the bench may have campaigns; creates no database."""
-    from bench.base.address import database_url
     from bench.store.database import is_there
 
     return is_there(database_url(settings.database, settings.data_dir))
@@ -103,7 +106,6 @@ def report(
     With --issue the report of a finished campaign gets a number, also each amendment; it is stored next to
     the report as report-R1.html.
     """
-    from bench.base.atomic_file import atomic_file
     from bench.campaign.report.campaign_record import load_record, note_look
     from bench.campaign.report.campaign_report import render_campaign_report
     from bench.campaign.report.findings import findings, findings_record
@@ -145,8 +147,6 @@ def report(
 
 
 def _worn_parts(stored: Sequence[StoredShot], data_dir: Path) -> Figure:
-    """Return the chart of the robot's worn parts over the `stored` shots."""
-    from bench.commands.common import progress_of
     from bench.commissioning.swings.wear import MAX_FITTED, fitted_parts, wear_plot
 
     files = [data_dir / one.file for one in stored if one.file]
@@ -169,7 +169,6 @@ def verify(
 
     Exits with 1 and names what differs.
     """
-    from bench.base.from_toml import read_text
     from bench.campaign.report.campaign_record import load_record
     from bench.campaign.report.verification import missing_records, verify_page
 
@@ -208,8 +207,6 @@ def mark(
     by: Annotated[str, option("Person who saw it.", "NAME", shown="user@host")] = "",
 ) -> None:
     """Mark a shot, with a comment; it still counts. The report shows marks and comments."""
-    from bench.store.rows import MAX_COMMENT_LENGTH, ShotNote
-
     if len(comment) > MAX_COMMENT_LENGTH:
         found, expected = f"a comment of {len(comment)} characters", f"up to {MAX_COMMENT_LENGTH}"
         raise Refused(f"campaign {campaign}", found, expected, "Write the comment in short.")
@@ -233,7 +230,6 @@ def exclude(
     A running campaign does not repeat it.
     """
     from bench.campaign.report.campaign_record import ISSUE, exclude_shot
-    from bench.store.rows import amendment
 
     with found_campaign(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
@@ -315,7 +311,6 @@ def air(
 
     Shots on hardware use it for one hour.
     """
-    from bench.store.rows import AirReading
     from sim.ball import Air
 
     address = context.ensure_object(Session).address()
@@ -382,12 +377,8 @@ def export(
 ) -> None:
     """Export a campaign's shots, one row each."""
     from bench.campaign.report.campaign_record import with_exclusions
-    from bench.records.shot.shot import shot_table_text, write_shot_table
 
     with found_campaign(context, campaign) as (store, entry):
         taken = [stored.shot for stored in store.shots(entry.id)]
         shots = with_exclusions(taken, store.exclusions(entry.id))
-    if output is None:
-        typer.echo(shot_table_text(shots), nl=False)
-    else:
-        write_shot_table(output, shots)
+    write_text(shot_table_text(shots), output)

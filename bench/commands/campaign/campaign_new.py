@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import typer
 
 from bench.base.errors import BenchError
-from bench.commands.common import Session, argument, at_terminal, option
+from bench.commands.common import Session, argument, at_terminal, option, write_text
+from bench.swing.library import profiles_for
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
@@ -109,7 +110,6 @@ def _answered(options: Mapping[str, Any], configuration: Configuration) -> dict[
 
 
 def _plan_name(file: Path) -> str:
-    """Return the campaign's name by its `file`."""
     from bench.campaign.plan.plan_file import CAMPAIGN_NAME
 
     if file.suffix != ".toml" or not CAMPAIGN_NAME.fullmatch(file.stem):
@@ -151,8 +151,6 @@ def _write(
     from bench.campaign.plan.plan_file import load_plan
     from bench.campaign.report.preview import outlook
     from bench.campaign.run.plan_requirements import swings_of_other_clubs
-    from bench.commands.common import write_text
-    from bench.swing.library import profiles_for
 
     def written() -> CampaignPlan:
         write_text(_plan_text(sections), file)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 from rich.console import Console
 
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError, Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.campaign.campaign import Id, Units, app, found_campaign, has_store, open_store
@@ -28,6 +29,7 @@ from bench.commands.common import (
     show_json,
     user_name,
 )
+from bench.store.rows import CampaignEntry, CampaignState, Hit, PromptKind, ShotNote, state_text
 
 if TYPE_CHECKING:
     from bench.base.address import BenchSettings
@@ -40,7 +42,6 @@ if TYPE_CHECKING:
     from bench.commands.campaign.campaign_baseline import Band, Checked
     from bench.config import Configuration
     from bench.store.campaigns import CampaignStore
-    from bench.store.rows import CampaignEntry, ShotNote
 
 app.command()(new)
 
@@ -109,7 +110,6 @@ def check(
         needs_series,
         needs_words,
     )
-    from bench.store.rows import Hit
 
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
@@ -276,13 +276,11 @@ def _run(
     ask: bool,
     by: str,
 ) -> None:
-    from bench.base.atomic_file import atomic_file
     from bench.campaign.plan.plan_file import plan_from_record
     from bench.campaign.report.campaign_record import load_record, note_look
-    from bench.campaign.report.campaign_report import write_campaign_report
+    from bench.campaign.report.campaign_report import render_campaign_report
     from bench.campaign.report.findings import findings, findings_record
     from bench.commands.campaign.campaign_baseline import check_baseline, junit_xml
-    from bench.store.rows import CampaignState
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     outcome = _take(store, entry, configuration, plan, facts, ask=ask, by=by or user_name())
@@ -291,10 +289,9 @@ def _run(
     figures = findings_record(found)
     checks = check_baseline(figures, outputs.baseline)
     if outputs.report and record.shots:
-        write_campaign_report(outputs.report, record, found, outputs.units)
+        write_whole(outputs.report, render_campaign_report(record, found, outputs.units))
     if outputs.junit:
-        with atomic_file(outputs.junit) as stream:
-            stream.write(junit_xml(entry, outcome, record.shots, checks))
+        write_whole(outputs.junit, junit_xml(entry, outcome, record.shots, checks))
     if outputs.json:
         held = [{"path": c.band.path, "value": c.value, "holds": c.holds} for c in checks]
         show_json({"campaign": entry.id, **outcome._asdict(), "baseline": held, "findings": figures})
@@ -323,7 +320,6 @@ def _take(
         campaign_bar,
         mark_keys,
     )
-    from bench.store.rows import PromptKind
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
@@ -353,8 +349,6 @@ def _marker(store: CampaignStore, campaign: str) -> Callable[[ShotNote], None]:
 def _tell(
     campaign: str, outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem
 ) -> None:
-    from bench.store.rows import CampaignState, state_text
-
     reached = state_text(outcome.state, outcome.reason)
     typer.echo(f"{reached}; {outcome.shots} shots, {outcome.valid} valid")
     if outcome.state in {CampaignState.STOPPED, CampaignState.SUSPENDED}:

@@ -259,7 +259,6 @@ class MarkLine:
     """A comment on a shot, typed key by key."""
 
     def __init__(self, by: str) -> None:
-        """`by` is who types."""
         self.by = by
         self._open: ShotNote | None = None
 
@@ -519,7 +518,6 @@ class TerminalOperator:
 
 
 def _load_table(balls: Sequence[Numbered]) -> Iterator[Table]:
-    """Yield a load list as a table; nothing without balls."""
     if not balls:
         return
     table, cells = Table.grid(padding=(0, 3)), places(balls)

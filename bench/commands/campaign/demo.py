@@ -21,13 +21,13 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.address import free_port
-from bench.base.atomic_file import NotStored
+from bench.base.atomic_file import NotStored, write_whole
 from bench.base.errors import Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.campaign_record import load_record
-from bench.campaign.report.campaign_report import write_campaign_report
+from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
 from bench.campaign.report.report_format import MPH, YARD
 from bench.campaign.report.verdicts import robot_words
@@ -41,7 +41,7 @@ from bench.commands.common import plain_table
 from bench.config import Configuration, database_url
 from bench.network.client import BenchClient
 from bench.records.shot.recorded_shot import read_shot
-from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
+from bench.records.shot.shot import Shot, ShotStatus, shot_table_text
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.rows import CampaignEntry, CampaignState
@@ -111,11 +111,11 @@ def write_result(
     found = findings(record.plan, record.shots)
     report, recording, shots = (folder / name for name in ("report.html", "demo.rrd", "shots.csv"))
     if record.shots:
-        write_shot_table(shots, record.shots)
+        write_whole(shots, shot_table_text(record.shots))
     interrupted = outcome.state is CampaignState.STOPPED
     if record.shots and not interrupted:
         with Console(stderr=True).status("writing report and recording"):
-            write_campaign_report(report, record, found)
+            write_whole(report, render_campaign_report(record, found))
             if stored := [c.bench.data_dir / one.file for one in store.shots(entry.id) if one.file]:
                 swung = [read_shot(path).record for path in stored]
                 write_recording(recording, swung, c.plant, folder.name)
@@ -181,7 +181,6 @@ def _table(title: str, shots: Sequence[Shot]) -> Table:
 
 
 def _way_to_open(path: Path) -> str:
-    """Return the file's path with the command that opens it."""
     match path.suffix:
         case ".html":
             return f"report     {path}   (opens in any browser)"

@@ -26,13 +26,15 @@ from bench.commands.common import (
     user_name,
 )
 from bench.commands.machine.commission import inputs
+from bench.records.telemetry.encoder_preset import read_shifts
+from bench.supervisor.ownership import bench_folder
+from drivers.base import JOINTS
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
     from bench.calibration.ball_aerodynamics import BallAerodynamics, FlightUncertainty
     from bench.calibration.calibration import (
         Calibration,
-        CalibrationKind,
         EncoderZeros,
         Entry,
         ReplacedValues,
@@ -97,8 +99,6 @@ def encoders(
     json_: Json = False,
 ) -> None:
     """Set the encoder zeros: counts at angle zero, or the pose in which the robot is locked now."""
-    from bench.calibration.calibration import CalibrationKind
-
     configuration = context.ensure_object(Session).configuration()
     known = _known_zeros(configuration)
     sign = sign or known.sign
@@ -118,9 +118,7 @@ def encoders(
     }
     if zero_counts is not None and not remounted:
         _require_known_zeros(zero_counts, sign, configuration, known)
-    _add(
-        context, CalibrationKind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_
-    )
+    _add(context, "encoders", content, method or "counts entered", by, expires_days, note, json_)
 
 
 @app.command()
@@ -136,11 +134,9 @@ def ball(
     json_: Json = False,
 ) -> None:
     """Set the position of the ball's centre on its tee, in the swing plane, for the configured club."""
-    from bench.calibration.calibration import CalibrationKind
-
     mounted = context.ensure_object(Session).configuration().swing.club
     content = {"x": x, "y": y, "uncertainty": uncertainty_mm / 1e3, "club": mounted}
-    _add(context, CalibrationKind.BALL, content, method, by, expires_days, note, json_)
+    _add(context, "ball", content, method, by, expires_days, note, json_)
 
 
 @app.command()
@@ -168,8 +164,6 @@ def club(
 
     Standard uncertainties: --length-uncertainty-mm and --angle-uncertainty-deg.
     """
-    from bench.calibration.calibration import CalibrationKind
-
     content = {
         "club": name or context.ensure_object(Session).configuration().swing.club,
         "length_to_face": length,
@@ -178,7 +172,7 @@ def club(
         "length_uncertainty": length_uncertainty_mm / 1e3,
         "angle_uncertainty": radians(angle_uncertainty_deg),
     }
-    _add(context, CalibrationKind.CLUB, content, method, by, expires_days, note, json_)
+    _add(context, "club", content, method, by, expires_days, note, json_)
 
 
 @app.command()
@@ -194,10 +188,8 @@ def valves(
     json_: Json = False,
 ) -> None:
     """Set the valves' centres and dead bands."""
-    from bench.calibration.calibration import CalibrationKind
-
     content = {"centre": centre, "dead_band": dead_band, "uncertainty": uncertainty}
-    _add(context, CalibrationKind.VALVES, content, method, by, expires_days, note, json_)
+    _add(context, "valves", content, method, by, expires_days, note, json_)
 
 
 app.command()(inputs)
@@ -265,7 +257,7 @@ def show(context: typer.Context, json_: Json = False) -> None:
 
 def _add(
     context: typer.Context,
-    kind: CalibrationKind,
+    kind: str,
     content: dict[str, Any],
     method: str,
     by: str,
@@ -275,9 +267,9 @@ def _add(
 ) -> None:
     """Check `content` against its ranges and this bench, store it, and say so."""
     from bench.calibration.archive import keep_calibration
-    from bench.calibration.calibration import in_words, require_plausible, values_of
+    from bench.calibration.calibration import CalibrationKind, in_words, require_plausible, values_of
 
-    values = values_of(kind, content, f"calibrate {kind}")
+    values = values_of(CalibrationKind(kind), content, f"calibrate {kind}")
     configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     require_plausible(values, configuration)
     entry = keep_calibration(
@@ -307,7 +299,6 @@ def _zeros_at(c: Configuration, pose: Three, counts: Whole | None, sign: Whole) 
     """Return the counts at angle zero of a robot locked at `pose` (deg); its counts are read if not given."""
     from bench.calibration.calibration import zero_counts
     from bench.control.settings import angle_travel
-    from drivers.base import JOINTS
 
     angles = radians(pose[0]), radians(pose[1]), radians(pose[2])
     for name, angle, (low, high) in zip(JOINTS, angles, angle_travel(c.plant), strict=True):
@@ -326,7 +317,6 @@ def _zeros_at(c: Configuration, pose: Three, counts: Whole | None, sign: Whole) 
 
 def _require_known_zeros(zeros: Three, sign: Whole, c: Configuration, known: EncoderZeros | Encoders) -> None:
     """Raise BenchError if `zeros` are far from the `known` ones; those of other encoders are unknown."""
-    from drivers.base import JOINTS
     from sim.plant import Encoders
 
     turn = c.plant.encoders.counts_per_revolution
@@ -346,7 +336,6 @@ def _live_counts(configuration: Configuration) -> Whole:
     """Return the counts of the running bench; Refused when none runs here or the robot moves."""
     from bench.calibration.calibration import standing_counts
     from bench.records.telemetry.ring import NoRing
-    from bench.supervisor.ownership import bench_folder
 
     ring: Path = bench_folder(configuration.bench.id) / "ring"
     try:
@@ -360,9 +349,6 @@ def _live_counts(configuration: Configuration) -> Whole:
 
 def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
     """Return preset and offset of the encoders of the running bench; warn if they are unknown."""
-    from bench.records.telemetry.encoder_preset import read_shifts
-    from bench.supervisor.ownership import bench_folder
-
     found = read_shifts(bench_folder(configuration.bench.id))
     if found is None and configuration.driver.name == "canopen":
         typer.echo(

@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError
 from bench.commands.common import (
     Session,
@@ -27,6 +28,7 @@ from bench.commands.common import (
     show_json,
     user_name,
 )
+from bench.supervisor.ownership import take_bench
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
@@ -244,7 +246,6 @@ def _write_robot(
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
     """Write robot.toml, with the limits of `following` errors and the learned swing once they are known."""
-    from bench.base.atomic_file import atomic_file
     from bench.commissioning.commissioning import require_unedited, robot_file
     from bench.commissioning.machine.commissioning_step import LEARNED_FILE
 
@@ -253,9 +254,7 @@ def _write_robot(
     made = datetime.fromisoformat(measured) if measured else datetime.now(UTC)
     learned = file.with_name(LEARNED_FILE)
     profile = learned if following and learned.exists() else None
-    with atomic_file(file) as stream:
-        text = robot_file(known, state.configuration, made, envelope, following, profile, file)
-        stream.write(text.encode())
+    write_whole(file, robot_file(known, state.configuration, made, envelope, following, profile, file))
 
 
 def inputs_in_force(configuration: Configuration, now: datetime, interrupted: str) -> str | None:
@@ -317,7 +316,6 @@ class _Machine(NamedTuple):
 def _simulated(
     configuration: Configuration, truth: Configuration, *, inputs_only: bool = False
 ) -> Iterator[_Machine]:
-    """Yield the robot of `truth`, simulated in lock-step."""
     from bench.commissioning.machine.commissioning_step import SimulatedSeries
     from bench.commissioning.machine.driver_machine import SimulatedMachine
 
@@ -346,7 +344,6 @@ def _live(
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
     from bench.commissioning.machine.inputs import in_simulation
     from bench.commissioning.machine.machine_process import live_robot
-    from bench.supervisor.ownership import take_bench
     from sim.exchange import ContactMonitor
 
     def say(text: str) -> None:
@@ -435,11 +432,9 @@ def _loads(machine: SimulatedMachine) -> str:
 
 
 def _write_report(state: Commissioning, nominal: PlantParameters) -> None:
-    from bench.base.atomic_file import atomic_file
     from bench.commissioning.commissioning import commissioning_report
 
-    with atomic_file(state.folder / "report.html") as stream:
-        stream.write(commissioning_report(state, nominal, datetime.now(UTC)).encode())
+    write_whole(state.folder / "report.html", commissioning_report(state, nominal, datetime.now(UTC)))
 
 
 def _show(state: Commissioning) -> None:

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from enum import StrEnum
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +33,8 @@ from bench.base.atomic_file import nearest_entry
 from bench.base.clock import GridClock
 from bench.commands.common import plain_table
 from bench.supervisor.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK, real_time
+from drivers.base import DriverError
+from drivers.daq.watchdog import error_text, load_nidaqmx
 
 SCHEMA_VERSION = 1
 """Version of the JSON report; it changes when a field is renamed or changes its meaning."""
@@ -466,7 +469,6 @@ def daq_cards() -> ItemResult:
 
 
 def _child(question: str) -> Any:
-    """Return the answer of this module as a program."""
     return json.loads(_run("-m", "bench.commands.machine.doctor", question))
 
 
@@ -525,11 +527,6 @@ def attached_daq_cards() -> dict[str, Any]:
 
     `fault` says what NI's own driver says where it does not answer.
     """
-    from importlib.metadata import version
-
-    from drivers.base import DriverError
-    from drivers.daq.watchdog import error_text, load_nidaqmx
-
     found: dict[str, Any] = {"package": "", "runtime": "", "cards": [], "fault": ""}
     try:
         nidaqmx = load_nidaqmx()

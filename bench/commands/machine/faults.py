@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.common import (
@@ -113,13 +114,11 @@ def run(
 
 
 def _write(folder: Path, summary: dict[str, Any]) -> None:
-    from bench.base.atomic_file import atomic_file
     from bench.faults.summary import summary_text
 
     page = matrix_page(summary)
     for name, text in {"matrix.json": summary_text(summary), "matrix.html": page}.items():
-        with atomic_file(folder / name) as file:
-            file.write(text.encode())
+        write_whole(folder / name, text)
 
 
 def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
@@ -225,7 +224,6 @@ def hazard_file_of(
 
 
 def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str:
-    """Return the `document` of the summary in the file `matrix`."""
     try:
         return document(json.loads(matrix.read_text(encoding="utf-8")))
     except (ValueError, KeyError, TypeError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -13,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.atomic_file import write_whole
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.common import (
@@ -137,8 +139,7 @@ def _grid(given: Sequence[str]) -> SizingGrid:
 def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
     """Print the table, and write the picture, the figures and a configuration for each point of the front."""
     from bench.config import load_configuration
-    from bench.design.sizing.front import draw_front
-    from bench.design.sizing.search import candidate_text, non_dominated
+    from bench.design.sizing.search import candidate_text, draw_front, non_dominated
 
     front = non_dominated(points)
     shipped = load_configuration(Path("shipped"))
@@ -246,19 +247,18 @@ def draw(
 def _write(
     output: Path, plant: PlantParameters, min_frame_distance: float, format_: DrawingFormat | None
 ) -> list[Path]:
-    from importlib.util import find_spec
 
     from bench.viewer.drawing.drawing import placed
-    from bench.viewer.drawing.model_files import write_gltf, write_step, write_urdf
+    from bench.viewer.drawing.model_files import gltf, write_step, write_urdf
 
     written = []
     bodies = placed(plant)
     if format_ in (None, "gltf"):
         written.append(output / "robot.glb")
-        write_gltf(written[-1], bodies)
+        write_whole(written[-1], gltf(bodies))
     if format_ in (None, "urdf"):
         written += write_urdf(output, plant, min_frame_distance)[-2:]
-    if format_ == "step" or (format_ is None and find_spec("build123d") is not None):
+    if format_ == "step" or (format_ is None and importlib.util.find_spec("build123d") is not None):
         written.append(output / "robot.step")
         write_step(written[-1], bodies)
     elif format_ is None:

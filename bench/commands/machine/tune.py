@@ -19,6 +19,8 @@ from bench.commands.common import (
     progress_bar,
     show_result,
 )
+from bench.swing.library import find_profile
+from drivers.base import JOINTS
 
 if TYPE_CHECKING:
     from bench.control.law.gain_scheduling import MachineGains
@@ -40,7 +42,6 @@ def tune(
     from bench.design.static_checks import require_possible
     from bench.learning.along_swing import gains_along, judge
     from bench.simulation.simulated_bench import Bench
-    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     configuration = context.ensure_object(Session).configuration()
@@ -99,8 +100,6 @@ def _proofs(bench: Bench, bar: Progress) -> dict[str, ValidationSwing]:
 
 def margins_table(title: str, judged: LoopMargins) -> Table:
     """Return the table of the loops' margins, one row an instant and joint."""
-    from drivers.base import JOINTS
-
     table = plain_table(title=title, padding=(0, 1, 0, 0), title_justify="left")
     table.add_column("instant\n", no_wrap=True)
     table.add_column("joint\n", no_wrap=True)
@@ -149,7 +148,6 @@ def _story(proofs: dict[str, ValidationSwing], worst: str, machine: MachineGains
 def _by_pose(machine: MachineGains) -> list[str]:
     """Return what gains by pose reach over the whole working range, and what limits them."""
     from bench.control.law.gain_scheduling import RequiredMargins
-    from drivers.base import JOINTS
 
     required, worst = RequiredMargins(), machine.worst
     rates = ", ".join(
@@ -187,7 +185,6 @@ def _record(
     bench: Bench, judged: LoopMargins, proofs: dict[str, ValidationSwing], machine: MachineGains | None
 ) -> dict[str, Any]:
     from bench.control.law.gain_table import gains_at
-    from drivers.base import JOINTS
 
     loops = [
         {"instant": loop.point, "joint": JOINTS[loop.joint]}

@@ -26,6 +26,7 @@ from bench.commands.common import (
     require_picture,
     show_json,
 )
+from bench.swing.library import find_profile, profile_names
 from drivers.base.ranges import read_number
 
 if TYPE_CHECKING:
@@ -154,10 +155,8 @@ def compare(
 
 
 def _motion(plant: PlantParameters, text: str) -> SwingMotion:
-    """Return the motion that `text` names."""
     from bench.golfer.comparison import golfer_motion, golfer_named, robot_motion
     from bench.golfer.golfer_file import SUFFIX
-    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     if text.startswith("model:") or text.endswith(SUFFIX):
@@ -193,7 +192,6 @@ def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
     from bench.design.static_checks import beyond_range
     from bench.golfer.comparison import golfer_motion, robot_motion
     from bench.swing.golfers import GOLFERS
-    from bench.swing.library import find_profile, profile_names
     from bench.swing.profile import load_profile
 
     known = profile_names()

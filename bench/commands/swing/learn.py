@@ -138,7 +138,6 @@ def _robot(plant: PlantParameters, file: Path | None, draw: int | None, club: st
 
 
 def _learn_in_lock_step(bench: Bench, robot: PlantParameters, swings: int) -> LearningResult:
-    """Learn on the simulated `robot` in at most `swings` swings."""
     from bench.learning.learn import on_series
     from bench.simulation.simulated_bench import Series
 
@@ -183,7 +182,6 @@ def _problem(bench: Bench, bar: Progress) -> LearningProblem:
 
 
 def _result(problem: LearningProblem, swinger: Swinger, swings: int, bar: Progress) -> LearningResult:
-    """Learn with `swinger`, one step of the bar a swing."""
     from bench.learning.learn import learn as learned
 
     task = bar.add_task("learning swings", total=swings + 1)

@@ -15,6 +15,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
+from bench.base.atomic_file import atomic_path
 from bench.base.errors import BenchError
 from bench.base.interrupt import deferred_interrupt
 from bench.commands.common import (
@@ -35,6 +36,8 @@ from bench.commands.common import (
     sweep_engine,
 )
 from bench.commands.swing.profile_design import design
+from bench.swing.library import PROFILES, find_profile, profile_names
+from drivers.base import ACTUATORS, CHAMBERS
 
 if TYPE_CHECKING:
     from bench.design.stop_verification import TrialOutcome, TrialSummary
@@ -52,7 +55,6 @@ Name = Annotated[str, argument("PROFILE", "Name or path of a profile.", complete
 @app.command("list")
 def list_profiles(json_: Json = False) -> None:
     """Show the profiles that come with golfbench."""
-    from bench.swing.library import find_profile, profile_names
     from bench.swing.profile import load_profile
 
     profiles = [(name, load_profile(find_profile(name))) for name in profile_names()]
@@ -70,7 +72,6 @@ def show(
     ] = False,
 ) -> None:
     """Show a profile: phases and times, planned delivery, limits."""
-    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, profile_text
 
     path = find_profile(profile)
@@ -178,12 +179,10 @@ def limits(
     Draws robots within their tolerances, swings and stops each without a fault, and sets the limits above all
     their deviations. Minutes.
     """
-    from bench.base.atomic_file import atomic_path
     from bench.control.residual_thresholds import save_limits
     from bench.design.threshold_generation import make_limits
     from bench.simulation.simulated_bench import Bench
     from bench.supervisor.readiness import assess_bench
-    from bench.swing.library import PROFILES
 
     c = context.ensure_object(Session).configuration()
     ready = assess_bench(c, datetime.now(UTC), profile, club=club)
@@ -213,7 +212,6 @@ def address(
     the robot came to its address.
     """
     from bench.control.moves.pressure_plan import with_planned_air
-    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, save_profile
 
     plant = context.ensure_object(Session).configuration().with_club(club).plant
@@ -257,9 +255,6 @@ _FIGURES = (
 
 
 def _outcome_record(result: SwingResult, time: datetime) -> dict[str, Any]:
-    """Return the swing's figures as JSON; units are in the names."""
-    from drivers.base import ACTUATORS, CHAMBERS
-
     shot = asdict(result.shot(1, time_utc=time).shot)
     shot["time_utc"] = time.isoformat(timespec="seconds")
     return {
@@ -275,9 +270,6 @@ def _outcome_record(result: SwingResult, time: datetime) -> dict[str, Any]:
 
 
 def _outcome_table(result: SwingResult, plant: PlantParameters, record: Mapping[str, Any]) -> Table:
-    """Return the swing's figures and loads as a table."""
-    from drivers.base import ACTUATORS
-
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_header=False, title_justify="left")
     table.title = Text(result.reason or "a valid shot", "bold red" if result.reason else "bold green")
     table.add_column(no_wrap=True)

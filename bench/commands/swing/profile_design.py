@@ -24,6 +24,7 @@ from bench.commands.common import (
     require_folder,
     sweep_engine,
 )
+from bench.swing.library import find_profile
 
 if TYPE_CHECKING:
     from bench.config import Configuration
@@ -208,7 +209,6 @@ def _with_motion(
     """
     from bench.design.golfer_tracking import TEMPO, demand_like, demand_measured, demand_near
     from bench.swing.golfers import Golfer, human_downswing
-    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     if golfer is not None and near is not None:
@@ -228,7 +228,6 @@ def _with_motion(
 
 
 def _profile_named(name: str | None) -> Profile | None:
-    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     return None if name is None else load_profile(find_profile(name))

@@ -14,7 +14,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
+from bench.base.configuration_files import variant_names
 from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import read_toml
 from bench.commands.common import (
     Json,
     Plot,
@@ -31,12 +33,13 @@ from bench.commands.common import (
     require_picture,
     show_json,
 )
+from bench.swing.library import find_profile
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.config import Configuration
-    from bench.records.shot.overlay import FigureDifference, SwingCourse
+    from bench.records.shot.overlay import SwingCourse
     from bench.records.telemetry.record_file import SwingRecord
     from bench.simulation.replay import Difference, Replay
 
@@ -163,7 +166,9 @@ def compare(
         shown = [{name: finite(value) for name, value in row._asdict().items()} for row in rows]
         return show_json({"first": first, "second": second, "aligned_at_ball": at_ball, "differences": shown})
     console = console_of(_WIDTH)
-    console.print(_difference_table(rows, courses[0].name, courses[1].name), highlight=False)
+    figures = (courses[0].name, courses[1].name, "difference", "RMS of differences")
+    cells = ((row.name, row.unit, *map(_number, row[2:])) for row in rows)
+    console.print(plain_table("figure", "unit", *figures, right=figures, rows=cells), highlight=False)
     aligned = "the ball" if at_ball else "the start, as one of them did not come to the ball"
     typer.echo(f"RMS: root mean square from the start to the ball. Clocks are aligned at {aligned}.")
     if plot is not None:
@@ -172,8 +177,6 @@ def compare(
 
 def _settings(location: str) -> Configuration | None:
     """Return the configuration at `location`, None if it names something else."""
-    from bench.base.configuration_files import variant_names
-    from bench.base.from_toml import read_toml
     from bench.config import load_configuration
 
     path = Path(location)
@@ -187,7 +190,6 @@ def _settings(location: str) -> Configuration | None:
 def _course(location: str, configuration: Configuration) -> SwingCourse:
     from bench.records.shot.overlay import course_of_profile, course_of_record
     from bench.records.shot.recorded_shot import read_shot
-    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     if location.endswith(".parquet"):
@@ -198,12 +200,6 @@ def _course(location: str, configuration: Configuration) -> SwingCourse:
             raise BenchError(location, "no swing in the record", "a record of a swing", action)
         return course
     return course_of_profile(configuration.plant, load_profile(find_profile(location)))
-
-
-def _difference_table(rows: list[FigureDifference], first: str, second: str) -> Table:
-    figures = (first, second, "difference", "RMS of differences")
-    cells = ((row.name, row.unit, *map(_number, row[2:])) for row in rows)
-    return plain_table("figure", "unit", *figures, right=figures, rows=cells)
 
 
 def _number(value: float) -> str:

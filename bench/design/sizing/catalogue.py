@@ -354,11 +354,7 @@ class Parts(NamedTuple):
 
 
 def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
-    """Return the parts of `hardware`.
-
-    Raises:
-        BenchError: the catalogue has no part of a name.
-    """
+    """Return the parts of `hardware`; raises BenchError: the catalogue has no part of a name."""
     found: dict[str, Any] = {}
     for part, kind in KINDS.items():
         name, known = getattr(hardware, part), getattr(catalogue, kind)

@@ -16,10 +16,7 @@ from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from enum import StrEnum
 from math import degrees, isfinite, pi
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from bench.base.atomic_file import atomic_file
 
 if TYPE_CHECKING:
     import numpy as np
@@ -178,14 +175,8 @@ class ShotRecord:
         return self.shot.status is ShotStatus.VALID
 
 
-def write_shot_table(path: Path, shots: Sequence[Shot]) -> None:
-    """Write one row a shot to `path`, whole or not at all. Raises BenchError when it cannot be stored."""
-    with atomic_file(path) as stream:
-        stream.write(shot_table_text(shots).encode())
-
-
 def shot_table_text(shots: Sequence[Shot]) -> str:
-    """Return the table as text."""
+    """Return the table of `shots` as text, one row each."""
     text = io.StringIO(newline="")
     table = csv.writer(text)
     table.writerow(COLUMNS)

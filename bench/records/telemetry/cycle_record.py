@@ -223,11 +223,7 @@ def unit_of(field: Field, index: int) -> str:
 
 
 ENUMERATIONS: dict[str, dict[str, str]] = {
-    "state": {str(state.value): state.name for state in State},
-    "request": {str(request.value): request.name for request in Request},
-    "refusal": {str(refusal.value): refusal.name for refusal in Refusal},
-    "phase": {str(phase.value): phase.name for phase in Phase},
-    "reaction": {str(reaction.value): reaction.name for reaction in Reaction},
-    "cause": {str(cause.value): cause.name for cause in Cause},
+    kind.__name__.lower(): {str(one.value): one.name for one in kind}
+    for kind in (State, Request, Refusal, Phase, Reaction, Cause)
 }
 """Names by code, as stored in the metadata of records; JSON keys are text."""

@@ -175,7 +175,6 @@ class RecordQueue:
         """Reason why the last record was not stored; empty if it was."""
 
     def __len__(self) -> int:
-        """Return the number of waiting records."""
         return len(self._waiting)
 
     @property

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.atomic_file import atomic_file
+from bench.base.atomic_file import write_whole
 from sim.robot import Body, Club
 from sim.vectors import Vector
 
@@ -98,8 +98,7 @@ def write_stl(path: Path, mesh: Mesh) -> None:
     facets = np.zeros(len(corners), _FACET)
     facets["normal"] = across / np.linalg.norm(across, axis=1)[:, None]
     facets["corners"] = corners
-    with atomic_file(path) as stream:
-        stream.write(b"golfbench, m".ljust(80) + struct.pack("<I", len(facets)) + facets.tobytes())
+    write_whole(path, b"golfbench, m".ljust(80) + struct.pack("<I", len(facets)) + facets.tobytes())
 
 
 Turn = tuple[Vector, Vector, Vector] | Array

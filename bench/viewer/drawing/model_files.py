@@ -35,7 +35,7 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.base.atomic_file import atomic_file, atomic_path
+from bench.base.atomic_file import atomic_file, atomic_path, write_whole
 from bench.base.errors import load_extra
 from bench.viewer.drawing.bodies import (
     NO_TURN,
@@ -129,12 +129,6 @@ def gltf(bodies: Sequence[PlacedBody]) -> bytes:
     chunks = struct.pack("<II", len(text), _JSON) + text
     chunks += struct.pack("<II", len(data), _BINARY) + bytes(data)
     return struct.pack("<III", _GLTF, 2, 12 + len(chunks)) + chunks
-
-
-def write_gltf(path: Path, bodies: Sequence[PlacedBody]) -> None:
-    """Write the bodies to `path`. Raises NotStored."""
-    with atomic_file(path) as stream:
-        stream.write(gltf(bodies))
 
 
 _FRAME_LENGTH = 0.10
@@ -233,8 +227,7 @@ def write_urdf(folder: Path, plant: PlantParameters, min_frame_distance: float) 
     urdf, loop = folder / "golfbench.urdf", folder / "closure.json"
     with atomic_file(urdf) as stream:
         ElementTree(robot).write(stream, encoding="utf-8", xml_declaration=True)
-    with atomic_file(loop) as stream:
-        stream.write(json.dumps(closure, indent=2).encode() + b"\n")
+    write_whole(loop, json.dumps(closure, indent=2).encode() + b"\n")
     return [*files, urdf, loop]
 
 
@@ -356,8 +349,7 @@ def write_mass_table(path: Path, rows: list[MassRow]) -> None:
     writer = csv.writer(text)
     writer.writerow(MassRow._fields)
     writer.writerows(rows)
-    with atomic_file(path) as stream:
-        stream.write(text.getvalue().encode())
+    write_whole(path, text.getvalue())
 
 
 _MM = 1000.0

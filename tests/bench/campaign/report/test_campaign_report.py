@@ -19,7 +19,7 @@ import pytest
 from bench.base.errors import BenchError
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.report.campaign_record import CampaignRecord
-from bench.campaign.report.campaign_report import render_campaign_report, write_campaign_report
+from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import Findings, findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.campaign.run.runner import RunOutcome
@@ -361,7 +361,7 @@ def test_campaign_report_chromium_shows_and_prints_without_errors(
     record: CampaignRecord, tmp_path: Path, tool: Callable[[str], str]
 ) -> None:
     page, pdf = tmp_path / "report.html", tmp_path / "report.pdf"
-    write_campaign_report(page, record, findings(record.plan, record.shots))
+    page.write_text(render_campaign_report(record, findings(record.plan, record.shots)))
     done = _browse(tool("chromium"), tmp_path, f"--print-to-pdf={pdf}", page)
     assert pdf.read_bytes().startswith(b"%PDF")
     assert "CONSOLE" not in done.stderr

@@ -646,7 +646,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launc
     """Return the record of a swing that struck the ball, and the launch."""
     c, profile = SHIPPED, assessed()["default", "driver"]
     robot = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
-    swing = simulate_swing(robot, Ball())
+    swing = simulate_swing(replace(robot, plant=replace(c.plant, ball=Ball())))
     assert swing.launch is not None
     metadata = {
         **robot.metadata(),

@@ -11,7 +11,6 @@ import pytest
 
 from bench.design.sizing import search as module
 from bench.design.sizing.catalogue import Hardware, parts_of, shipped_catalogue
-from bench.design.sizing.front import draw_front
 from bench.design.sizing.search import (
     SizedPlan,
     SizedPoint,
@@ -20,6 +19,7 @@ from bench.design.sizing.search import (
     SizingGrid,
     SizingRun,
     SizingSearch,
+    draw_front,
     non_dominated,
     plan_of,
 )

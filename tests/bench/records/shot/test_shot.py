@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.records.shot.shot import Shot, ShotStatus, write_shot_table
+from bench.records.shot.shot import Shot, ShotStatus, shot_table_text
 from tests.bench.records.shot.read_shots import KINDS, read_shot_table
 
 HEADER = (
@@ -52,47 +52,44 @@ shots = st.builds(
 
 @settings(deadline=None)
 @given(st.lists(shots, max_size=4))
-def test_write_shot_table_restores_every_shot(
+def test_shot_table_text_restores_every_shot(
     tmp_path_factory: pytest.TempPathFactory, rows: list[Shot]
 ) -> None:
     path = tmp_path_factory.mktemp("table") / "shots.csv"
-    write_shot_table(path, rows)
+    path.write_bytes(shot_table_text(rows).encode())
     assert read_shot_table(path) == rows
 
 
-def test_write_shot_table_header_matches_export_columns(tmp_path: Path) -> None:
-    write_shot_table(tmp_path / "shots.csv", [SHOT])
-    assert (tmp_path / "shots.csv").read_bytes().split(b"\r\n")[0].decode() == HEADER
+def test_shot_table_text_header_matches_export_columns() -> None:
+    assert shot_table_text([SHOT]).split("\r\n")[0] == HEADER
 
 
-def test_write_shot_table_uses_crlf_and_plain_decimal_numbers(tmp_path: Path) -> None:
+def test_shot_table_text_uses_crlf_and_plain_decimal_numbers() -> None:
     shot = Shot(2, 1, 1, 'the "old" one', "A, soft", ShotStatus.VALID, spin_axis_deg=1e-7, carry_m=212.0)
-    write_shot_table(tmp_path / "shots.csv", [shot])
-    text = (tmp_path / "shots.csv").read_bytes().decode()
+    text = shot_table_text([shot])
     assert text.count("\r\n") == text.count("\n") == 2
     assert '"the ""old"" one","A, soft"' in text
     assert ",0.0000001,212.0," in text
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+A", "-A", "@A", "\tA", "'=A", "''=A"])
-def test_write_shot_table_escapes_spreadsheet_formulas(tmp_path: Path, name: str) -> None:
+def test_shot_table_text_escapes_spreadsheet_formulas(tmp_path: Path, name: str) -> None:
     shot = replace(SHOT, ball=name, status=ShotStatus.EXCLUDED, reason=name)
-    write_shot_table(tmp_path / "shots.csv", [shot])
+    (tmp_path / "shots.csv").write_bytes(shot_table_text([shot]).encode())
     with (tmp_path / "shots.csv").open(encoding="utf-8", newline="") as stream:
         row = next(csv.DictReader(stream))
     assert row["ball"] == row["reason"] == f"'{name}"
     assert read_shot_table(tmp_path / "shots.csv") == [shot]
 
 
-def test_write_shot_table_negative_number_is_not_escaped(tmp_path: Path) -> None:
-    write_shot_table(tmp_path / "shots.csv", [replace(SHOT, club_path_deg=-1.5)])
-    assert b",-1.5," in (tmp_path / "shots.csv").read_bytes()
+def test_shot_table_text_negative_number_is_not_escaped() -> None:
+    assert ",-1.5," in shot_table_text([replace(SHOT, club_path_deg=-1.5)])
 
 
-def test_write_shot_table_converts_times_to_utc(tmp_path: Path) -> None:
+def test_shot_table_text_converts_times_to_utc() -> None:
     late = datetime(2026, 11, 1, 1, 30, tzinfo=timezone(timedelta(hours=2)))
-    write_shot_table(tmp_path / "shots.csv", [Shot(1, 1, 1, "c", "b", ShotStatus.VALID, time_utc=late)])
-    assert ",2026-10-31T23:30:00.000000Z,," in (tmp_path / "shots.csv").read_text()
+    shot = Shot(1, 1, 1, "c", "b", ShotStatus.VALID, time_utc=late)
+    assert ",2026-10-31T23:30:00.000000Z,," in shot_table_text([shot])
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from bench.viewer.drawing.model_files import (
     load_build123d,
     mass_rows,
     solid_shape,
-    write_gltf,
     write_step,
 )
 from sim.plant import PlantParameters
@@ -62,7 +61,7 @@ def test_gltf_contains_every_placed_body(plant: PlantParameters) -> None:
 def test_gltf_read_by_trimesh_has_same_bounds(shipped: PlantParameters, tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="needs trimesh (pip install '.[benchmark]')")
     everything = placed(shipped)
-    write_gltf(tmp_path / "robot.glb", everything)
+    (tmp_path / "robot.glb").write_bytes(gltf(everything))
     scene = trimesh.load(tmp_path / "robot.glb")
     low = np.min([one.mesh.vertices.min(axis=0) for one in everything], axis=0)
     high = np.max([one.mesh.vertices.max(axis=0) for one in everything], axis=0)
