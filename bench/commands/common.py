@@ -45,7 +45,7 @@ def at_terminal() -> bool:
 
 
 def discard_typed() -> None:
-    """Discard what was typed at the terminal: earlier input does not answer a prompt that comes now."""
+    """Discard keys typed at the terminal: they do not answer the next prompt."""
     import termios
 
     if at_terminal():

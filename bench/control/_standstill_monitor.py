@@ -141,8 +141,10 @@ def _end_securing(s: Any, interlock: int, time: float) -> None:
 
 
 @compiled
-def _forget_lost_index(s: Any, readings: Any) -> None:
-    """Forget the homing when a valid encoder has lost its index."""
+def _forget_lost_zero(s: Any, readings: Any) -> None:
+    """Forget the homing when an encoder fails at rest, or a valid one has lost its index."""
+    if s.encoder_fault != 0 and s.encoders_seen_valid:
+        s.homed = False  # whatever turned meanwhile, no reading shows it
     for i in range(3):
         if readings[0].encoder_valid[i] != 0 and readings[0].encoder_indexed[i] == 0:
             s.homed = False
@@ -172,9 +174,7 @@ def monitor_standstill(
     jumped = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
     if jumped == 0:
         jumped = int(s.homing.index_wrong) if s.homing.index_wrong != 0 else resting_jump(state.estimator[0])
-    _forget_lost_index(s, readings)
-    if s.encoder_fault != 0 and s.encoders_seen_valid:
-        s.homed = False  # whatever turned meanwhile, no reading shows it
+    _forget_lost_zero(s, readings)
     if s.state == State.STARTING:
         if s.is_warmed_up:
             latch(s, parameters, int(s.first_cause), time)

@@ -185,7 +185,7 @@ def assess(
     real, model = running and c.is_machine, c.envelope.model
     old = [fault for one in replaced if (fault := outdated(one, configuration))]
     if real:
-        found += old + _rewired(calibration, c)
+        found += [*old, *_rewired(calibration, c)]
     else:
         warnings += map(str, old)
     chambers_have_sensors, valves_have_feedback = _fitted_sensors(c)

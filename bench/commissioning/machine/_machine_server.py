@@ -240,7 +240,7 @@ class LiveSeries:
         self._operator.wait_for(lambda: self._state is not State.ACCESS, _TIMEOUT)
 
     def hold(self) -> None:
-        """Continue for one tick; a person at the club is told once that the access is lost."""
+        """Continue for one tick; call a person at the club once when access is lost."""
         was_released = self._state is State.ACCESS
         self._operator.begin_record()
         self._operator.advance(1)
