@@ -326,7 +326,7 @@ def see_inputs(
 
 
 @contextmanager
-def safe_after_error(machine: CommissionedMachine, plant: PlantParameters) -> Iterator[None]:
+def safe_after_error(machine: SimulatedMachine | LiveRobot, plant: PlantParameters) -> Iterator[None]:
     """Make `machine` passive and turn its regulator down after an error."""
     try:
         yield

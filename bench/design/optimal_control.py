@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, load_extra
+from bench.base.interrupt import deferred_interrupt
 from bench.control.settings import ControlSettings, EnvelopeSettings
 from sim.plant import PlantParameters
 from sim.pneumatics import FLOW_TO_PRESSURE, Actuator
@@ -478,13 +479,14 @@ def solve_downswing(
     require("cushion of the wrist", carried[1], -1.0, p.cushions[1])
     program: dict[str, Any] = {"x": ca.vertcat(*z), "f": cost, "g": ca.vertcat(*g)}
     solver = ca.nlpsol("downswing", "ipopt", program, _OPTIONS)
-    found = solver(
-        x0=np.concatenate(z0),
-        lbx=np.concatenate(lower),
-        ubx=np.concatenate(upper),
-        lbg=np.concatenate(g_lower),
-        ubg=np.concatenate(g_upper),
-    )
+    with deferred_interrupt():  # the solver takes KeyboardInterrupt for a failed evaluation, and continues
+        found = solver(
+            x0=np.concatenate(z0),
+            lbx=np.concatenate(lower),
+            ubx=np.concatenate(upper),
+            lbg=np.concatenate(g_lower),
+            ubg=np.concatenate(g_upper),
+        )
     stats = solver.stats()
     values = ca.Function("values", [program["x"]], [duration, ca.horzcat(*states), along, carried])(
         found["x"]

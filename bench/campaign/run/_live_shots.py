@@ -275,12 +275,15 @@ class LiveShots(ShotSource):
             if kind is PromptKind.BENCH:
                 return
             self._operator.take_lease()
-            if self._client.status()["state"] != "ACCESS":
+            status = self._client.status()
+            if status["state"] in ("ESTOP", "FAULT") and not self.simulated:
+                raise Suspended(f"{in_words(status)}: reset and home, then resume")  # nothing to do inside
+            if status["state"] != "ACCESS":
                 self._supply_shut = False
             self._until(lambda status: status["state"] == "ACCESS", self._client.access, ask)
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
-        """Lock the guard once it is closed and the local reset button, if there is one, was pressed."""
+        """Lock the guard once it is closed and the local reset, if there is one, was pressed."""
         if kind is PromptKind.BENCH:
             return
         with _suspending():

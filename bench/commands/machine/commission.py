@@ -103,13 +103,13 @@ def commission(
     stated = _stated_repair(repaired.strip(), resume=resume)
     state = begin(output, configuration, simulated=simulated, repaired=stated)
     state.robot = "" if robot is None else str(robot.resolve())
+    load_casadi()  # a missing package must fail before the long part
     if check:
         if simulated:
             with SimulatedMachine(truth.plant, configuration.plant):
                 pass  # a robot that it refuses is refused before anything begins
         _show_steps(state, json_=json_)
         return
-    load_casadi()  # a missing package must fail before the long part
     if not (simulated or regulator is not None or at_terminal()):
         action = "Name a program that turns the pressure regulator, or run the command in a terminal."
         raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", action)
@@ -205,6 +205,9 @@ def _commission(
             swung = known_with_swing(load_configuration(file), state.folder).envelope
             _write_robot(file, state, known, configuration.envelope, swung.max_following_error)
             bar.update(task, completed=len(state.done))
+        except KeyboardInterrupt:
+            bar.console.print("Stopped: the machine is passive. Continue with --resume.")
+            raise
         finally:
             _write_report(state, nominal)
 

@@ -313,7 +313,7 @@ def await_local_reset(machine: WatchedMachine, hands: OperatorIO) -> None:
     """
     if machine.may_move():
         return
-    hands.say("Air is to come on: count the persons outside the guard.")
+    hands.say("Air is to come on: count the persons outside the guard, then open the supply.")
     readings: Readings | None = None
     for key, pressed in (("", False), ("press-reset", True), ("release-reset", False)):
         if key:

@@ -84,6 +84,7 @@ def check_inputs(
     c, atmosphere = configuration, configuration.plant.supply.atmosphere
     done = stages(local_reset=c.lifecycle.local_reset)
     after = atmosphere
+    hands.say("Lock the supply, and open all hand valves until they have blown out.")
     hands.regulator(atmosphere)
     try:
         seen = _watched(machine, hands, c, done, progress)

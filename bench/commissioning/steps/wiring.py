@@ -61,6 +61,8 @@ _FOOT = 1.5e3
 """Rise of a chamber where its valve begins to open (Pa)."""
 _ANSWER = 8e3
 """Change of a chamber that is connected to the valve (Pa)."""
+_RESTED, _FALL = 0.4, 500.0
+"""Time over which a chamber's pressure falls by less once it is empty (s, Pa)."""
 _LEFT = 2e4
 """Max pressure of a chamber at the end of a ramp (Pa)."""
 _SUPPLY_SHARE = 0.8
@@ -180,8 +182,10 @@ def valve_feet(trace: MotionTrace, valve: int) -> ValveFeet:
 
 
 def _require_sensors(trace: MotionTrace, plant: PlantParameters) -> None:
-    """Raise MachineFault unless all chamber sensors show the atmosphere at the end of venting."""
+    """Raise MachineFault unless all chamber sensors that rest at the end of venting show the atmosphere."""
     off = trace.pressure[-1] - plant.supply.atmosphere
+    before = int(np.searchsorted(trace.time, trace.time[-1] - _RESTED))
+    off[trace.pressure[before] - trace.pressure[-1] > _FALL] = 0.0  # this chamber still vents
     worst = int(np.argmax(np.abs(off)))
     if abs(off[worst]) > zero_tolerance(plant):
         location = f"{CHAMBERS[worst]} sensor"

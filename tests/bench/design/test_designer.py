@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from dataclasses import replace
 from math import asin, radians, sin
 from pathlib import Path
+from threading import Timer
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,6 +44,7 @@ from bench.design.optimal_control import (
     _radau_slopes,
     _state_bounds,
     build_equations,
+    load_casadi,
     solve_downswing,
 )
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
@@ -176,6 +181,27 @@ def test_solve_downswing_coarse_plan_meets_demand_reproducibly(plant: PlantParam
     assert abs(theta_t - 3.5 * np.pi) <= 0.026 + 1e-6
     assert np.abs(plan.state[:, 13:]).max() <= 0.85
     assert np.array_equal(plan.state, again.state)
+
+
+@pytest.mark.slow
+def test_solve_downswing_interrupt_is_not_lost(
+    plant: PlantParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ca = load_casadi()
+    build = ca.nlpsol
+
+    def interrupted(*program: object) -> Any:
+        solver = build(*program)
+
+        def solve(**start: object) -> object:
+            Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+            return solver(**start)
+
+        return solve
+
+    monkeypatch.setattr(ca, "nlpsol", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        _coarse_plan(plant, SwingDemand(head_speed=36.0, attack=radians(0.5)))
 
 
 def test_state_bounds_include_start_beyond_top(plant: PlantParameters) -> None:

@@ -565,6 +565,14 @@ def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
     }
 
 
+@pytest.mark.parametrize("state", ["ESTOP", "FAULT"])
+def test_grant_access_stopped_machine_sends_no_person_in(plan: CampaignPlan, state: str) -> None:
+    bench = Doors(state=state, driver="canopen")
+    with shots_of(plan, bench, simulated=False) as source, pytest.raises(Suspended, match="reset and home"):
+        source.grant_access(PromptKind.BALLS, print)
+    assert "access" not in bench.asked
+
+
 @pytest.mark.parametrize("simulated", [False, True])
 def test_work_before_arming_access_of_earlier_run_opens_supply(plan: CampaignPlan, simulated: bool) -> None:
     bench = Doors(state="ACCESS", driver="sim" if simulated else "canopen")
