@@ -436,7 +436,7 @@ CAUSE_WORDS: dict[Cause, Words] = {
     **_each_chamber(
         Cause.SHOULDER_A_EXHAUST,
         "{chamber} vents too slowly",
-        "lock the supply, empty it by its hand valve; check silencer, hose and sensor's zero",
+        "lock the supply, open its joint's hand valves; check silencer, hose and sensor's zero",
     ),
     Cause.LEASE: ("disarmed, as the lease lapsed or was released", "take it, then arm"),
     Cause.ARMED_TIME: ("disarmed, as it was armed for longer than allowed", "arm again"),

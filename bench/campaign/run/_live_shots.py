@@ -75,8 +75,8 @@ _AT_THE_ROBOT = {
     Refusal.GUARD: "Leave the robot and close the guard.",
     Refusal.LOCAL_RESET: "Press the local reset at the guard.",
     Refusal.GAUGE: (
-        "Lock the supply, turn the regulator to 0. Empty by hand valve each chamber that vented slowly or "
-        "whose sensor failed. Once both gauges show 0, press the local reset."
+        "Lock the supply, turn the regulator to 0. Open both hand valves of a joint whose chamber vented slowly "
+        "or whose sensor failed. Once both gauges show 0, press the local reset."
     ),
 }
 """Refusals that a person at the robot can clear, and the actions."""

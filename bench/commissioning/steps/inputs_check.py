@@ -166,7 +166,7 @@ def off_at_rest(readings: Readings, plant: PlantParameters) -> list[MachineFault
             f"{1e-5 * pressure:.3f} bar absolute, vented" if isfinite(pressure) else "no believable reading",
             f"{1e-5 * atmosphere:.3f} bar within {1e-5 * tolerance:.3f}: above, access is refused; below, "
             "held air is not seen",
-            "If above, lock the supply, empty it by its hand valve, clean its silencer. If it stays, set the "
+            "If above, lock the supply, open hand valves in pairs, clean its silencer. If it stays, set the "
             "sensor's zero and span, or replace it; if all differ alike, correct plant.supply.atmosphere.",
         )
         for name, pressure in zip(sensors, shown, strict=True)

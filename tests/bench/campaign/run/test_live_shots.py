@@ -560,8 +560,8 @@ def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
         assert source.work_before_arming() == ""
     assert set(asked) == {
         "",
-        "Lock the supply, turn the regulator to 0. Empty by hand valve each chamber that vented slowly or "
-        "whose sensor failed. Once both gauges show 0, press the local reset.",
+        "Lock the supply, turn the regulator to 0. Open both hand valves of a joint whose chamber vented slowly "
+        "or whose sensor failed. Once both gauges show 0, press the local reset.",
     }
 
 
