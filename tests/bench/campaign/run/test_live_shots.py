@@ -58,6 +58,7 @@ from drivers.launch_monitor.record import LaunchRecord, MatchOutcome
 from sim.ball import Air, Ball
 from tests.bench.campaign.as_designed import AsDesigned
 from tests.bench.campaign.plans import SHIPPED, shipped_plan, with_values
+from tests.bench.campaign.test_notifications import webhook
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
 PLAN = """
@@ -757,11 +758,136 @@ def test_live_shots_real_carry_ignores_planned_ball(
     assert silent.reason == "no carry: the launch monitor reported none"
 
 
+LOW_SUPPLY = """
+[lifecycle]
+hold_between_swings = true
+[faults.compressor]
+signal = "supply"
+kind = "scale"
+value = 0.9
+duration = 45.0
+"""
+
+
+@pytest.mark.release
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.timeout(400)
+def test_run_campaign_low_supply_waits_and_continues(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "live", LOW_SUPPLY)
+    (tmp_path / "plan.toml").write_text(PLAN)
+    configuration = load_configuration(file)
+    plan = load_plan(tmp_path / "plan.toml", configuration)
+    stood = []
+    with (
+        running_bench(file) as bench,
+        open_database(database_url("", configuration.bench.data_dir)) as engine,
+    ):
+
+        class Noting(Watcher):
+            def standing(self, state: CampaignState, reason: str) -> None:
+                stood.append((state, reason[:9], bench.client.status()["state"]))
+
+        store, facts = CampaignStore(engine), bench_facts(plan, configuration, bench.client.status())
+        entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True, real_time=facts)
+        store.begin(entry)
+        outcome = run_campaign(entry, configuration, store, Noting(), never)
+        assert (outcome.state, outcome.shots, outcome.valid) == (CampaignState.FINISHED, 2, 2)
+        assert stood[:3] == [
+            (CampaignState.RUNNING, "", "ESTOP"),
+            (CampaignState.SUSPENDED, "supply 7.", "ARMED"),
+            (CampaignState.RUNNING, "", "ARMED"),
+        ]
+        assert bench.client.status()["swings"] == 2
+        assert [event.kind for event in store.events(entry.id)] == ["reset", "suspended"]
+
+
+TWO_CLUBS = """
+[campaign]
+name = "two-clubs"
+[design]
+compare = "club"
+balls = ["tour"]
+clubs = ["driver-9", "driver"]
+blocks = 1
+seed = 1                          # driver first
+[warm_up]
+at_most = 0
+practice = false
+[gate]
+reference = "planned"
+club_speed = 4.0
+shaft_lean_deg = 0.0
+strike_x = 0.03
+strike_y = 0.03
+[analysis]
+drift = "none"
+[clubs.driver-9]
+like = "driver"
+loft_deg = 13.5
+"""
+
+
 def call(file: Path, *arguments: str | Path) -> tuple[int, str]:
     """Run `golfbench campaign ...` to its end."""
     with campaign(file, *arguments) as process:
         output, _ = process.communicate(timeout=120)
         return process.returncode, output
+
+
+@pytest.mark.release
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.timeout(400)
+def test_campaign_runner_killed_during_club_change_resumes(
+    tmp_path: Path,
+) -> None:
+    urls = tmp_path / "notify.urls"
+    file = write_configuration(
+        tmp_path, "clubs", f'[lifecycle]\nhold_between_swings = true\n[notifications]\nfile = "{urls}"\n'
+    )
+    (tmp_path / "plan.toml").write_text(TWO_CLUBS)
+    data_dir = load_configuration(file).bench.data_dir
+    with (
+        webhook() as (url, notified, _),
+        running_bench(file) as bench,
+        open_database(database_url("", data_dir)) as engine,
+    ):
+        urls.write_text(url)
+        urls.chmod(0o600)
+        store = CampaignStore(engine)
+        with campaign(file, "run", tmp_path / "plan.toml", "--ask") as process:
+            while not (entries := store.entries()) or entries[0][1].state is not CampaignState.WAITING:
+                time.sleep(0.1)
+                assert process.poll() is None
+            name = entries[0][0].id
+            (told,) = bench.client._session.get(f"golfbench/{bench.configuration.bench.id}/campaign/{name}")
+            assert told.ok is not None
+            heard = json.loads(told.ok.payload.to_bytes())
+            assert (heard["state"], heard["shots"], heard["planned"]) == ("waiting", 1, 2)
+            assert heard["reason"] == "Mount club driver-9 in place of driver."
+            assert bench.client.status()["state"] == "ACCESS"
+            code, output = call(file, "run", tmp_path / "plan.toml")
+            assert code == ExitCode.REFUSED, output
+            assert f"campaign {name}" in " ".join(output.split())
+            assert len(store.entries()) == 1
+            process.kill()
+        assert call(file, "answer", name, "--by", "Ann")[0] == ExitCode.OK
+        assert call(file, "answer", name)[0] == ExitCode.REFUSED
+        code, output = call(file, "resume", name, "--ask")
+        assert code == ExitCode.OK, output
+        (prompt,) = store.prompts(name)
+        assert (prompt.before_shot, prompt.by) == (2, "Ann")
+        titles = [body["title"].partition(": ")[2].partition(" ")[2] for body in notified]
+        assert titles == ["waits for a person", "is finished"]
+        first, second = (stored.shot for stored in store.shots(name))
+        assert [(s.club, s.status) for s in (first, second)] == [
+            ("driver", ShotStatus.VALID),
+            ("driver-9", ShotStatus.VALID),
+        ]
+        assert (second.dynamic_loft_deg or 0.0) == pytest.approx(
+            (first.dynamic_loft_deg or 0.0) - 1.5, abs=0.5
+        )
 
 
 def wait_for(store: CampaignStore, name: str, state: CampaignState, process: subprocess.Popen[str]) -> None:
