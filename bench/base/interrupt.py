@@ -75,6 +75,10 @@ def deferred_interrupt(*, terminate: bool = False) -> Iterator[StopFlag]:
     exit code 130, after SIGTERM 143. Outside the main thread, which gets no signals, the flag is never set.
     """
     asked = StopFlag()
+    outer = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
+    if isinstance(outer, StopFlag) and not terminate:
+        yield outer  # the block around this one ends
+        return
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return

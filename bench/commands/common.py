@@ -46,9 +46,9 @@ def at_terminal() -> bool:
 
 def discard_typed() -> None:
     """Discard keys typed at the terminal: they do not answer the next prompt."""
-    import termios
-
     if at_terminal():
+        import termios
+
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 

@@ -366,7 +366,7 @@ def commission(
             file = f"records/{number}-{step.name}.npz"
             with _doing(state, step, on_step, file, lambda: machine.time) as done:
                 counted = _CountedMachine(machine, step.title, progress)
-                traces, stalls = _measured(step, counted, known, progress)
+                traces, stalls = _measured(step, counted, known, progress, permit)
                 write_traces(state.folder / file, traces)
                 result = step.estimate(traces, known)
                 values = tuple(value._replace(step=step.name) for value in result.values)
@@ -448,6 +448,7 @@ def _measured(
     machine: CommissionedMachine,
     known: RobotEstimate,
     progress: Callable[[str], None],
+    permit: Callable[[], object],
 ) -> tuple[Traces, tuple[str, ...]]:
     """Return the traces of `step` and the stalls after which it was repeated, from the vented machine.
 
@@ -459,6 +460,7 @@ def _measured(
         try:
             if stalls:
                 machine.vent()
+                permit()  # a long stall voids the permission
             return step.measure(machine, known), stalls
         except Stalled as stall:
             if len(stalls) == _REPEATS:

@@ -75,8 +75,8 @@ _AT_THE_ROBOT = {
     Refusal.GUARD: "Leave the robot and close the guard.",
     Refusal.LOCAL_RESET: "Press the local reset at the guard.",
     Refusal.GAUGE: (
-        "Lock the supply, turn the regulator to 0. Open both hand valves of a joint whose chamber vented slowly "
-        "or whose sensor failed. Once both gauges show 0, press the local reset."
+        "Lock the supply, turn the regulator to 0. Open both hand valves of a joint whose chamber vented "
+        "slowly or whose sensor failed. Once both gauges show 0, press the local reset."
     ),
 }
 """Refusals that a person at the robot can clear, and the actions."""
@@ -275,12 +275,15 @@ class LiveShots(ShotSource):
             if kind is PromptKind.BENCH:
                 return
             self._operator.take_lease()
-            status = self._client.status()
-            if status["state"] in ("ESTOP", "FAULT") and not self.simulated:
-                raise Suspended(f"{in_words(status)}: reset and home, then resume")  # nothing to do inside
-            if status["state"] != "ACCESS":
+            if self._client.status()["state"] != "ACCESS":
                 self._supply_shut = False
-            self._until(lambda status: status["state"] == "ACCESS", self._client.access, ask)
+            self._until(self._is_open, self._client.access, ask)
+
+    def _is_open(self, status: BenchStatus) -> bool:
+        """Return whether the guard is released; a stopped machine gives a person no work inside."""
+        if status["state"] in ("ESTOP", "FAULT") and not self.simulated:
+            raise Suspended(f"{in_words(status)}: golfbench access --end, reset, home, then resume")
+        return status["state"] == "ACCESS"
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """Lock the guard once it is closed and the local reset, if there is one, was pressed."""

@@ -470,6 +470,9 @@ class Runner:
             self._obey_requests()
             if found := self._source.hindrance(step):
                 free_since = now
+                if not (found.armed or self._source.simulated):
+                    self._source.rest()
+                    raise Suspended(found.text)
                 if self._store.standing(self._entry.id).state is not CampaignState.SUSPENDED:
                     self._stand(CampaignState.SUSPENDED, found.text)  # it was paused meanwhile
             time.sleep(_LOOK)

@@ -380,7 +380,8 @@ def _hands_of_person(
     def ask_mark() -> tuple[float, float] | None:
         with paused(bar):
             typer.echo(
-                "The guard is released: pin the shoulder, look at the ball's mark on the face, wipe it off.",
+                "The guard is released: lock the supply, pin the shoulder, look at the ball's mark on the "
+                "face, wipe it off.",
                 err=True,
             )
             mark = mark_from_person()

@@ -216,10 +216,8 @@ class LiveSeries:
             return CAUSE_WORDS[cause][1]
         return stall_note(cycles[: first + 1], cause, lost, self._operator.period, fault)
 
-    def release_guard(self) -> bool:
+    def release_guard(self) -> None:
         """Bring the robot to rest and release the guard, for a person to come to the club.
-
-        Return whether the person locked the supply before, to read its gauges.
 
         Raises:
             Refused: the bench does not release it, and why.
@@ -228,7 +226,7 @@ class LiveSeries:
         if operator.phase is not Phase.STANDING:
             self._ask(Request.DISARM)
         operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
-        return self._ask(Request.ACCESS, _ACCESS)
+        self._ask(Request.ACCESS, _ACCESS)
 
     def lock_guard(self) -> None:
         """Lock the guard again, once it is closed; a swing then arms the robot.
@@ -298,16 +296,12 @@ class LiveSeries:
         if not operator.reach_address():
             raise stopped_by_person()
 
-    def _ask(self, request: Request, timeout: float = _TIMEOUT) -> bool:
-        """Request until it is accepted; return whether a person locked the supply for it.
-
-        Refused with its reason if it refuses after `timeout` (s).
-        """
-        operator, waited, called, locked = self._operator, 0.0, False, False
+    def _ask(self, request: Request, timeout: float = _TIMEOUT) -> None:
+        """Request until it is accepted; Refused with its reason if it refuses after `timeout` (s)."""
+        operator, waited, called = self._operator, 0.0, False
         while not operator.request(request):
             refusal = Refusal(int(operator.control["refusal"][0]))
             person = refusal in (Refusal.LOCAL_RESET, Refusal.GAUGE)
-            locked |= refusal is Refusal.GAUGE
             if person and not called:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True
@@ -325,7 +319,6 @@ class LiveSeries:
             operator.advance(round(_AGAIN / operator.period))
             operator.begin_record(keep=_LAST)
             waited += _AGAIN
-        return locked
 
     def _tee_up(self, *, ball: bool) -> None:
         """Raise the next ball, or swing at none."""

@@ -17,6 +17,7 @@ from __future__ import annotations
 import os
 import pickle
 import select
+import signal
 import socket
 import sys
 from collections.abc import Callable, Iterator
@@ -223,15 +224,14 @@ class LiveRobot:
     def face_mark(self, swing: SeriesSwing) -> Mark | None:
         """Return the mark that the ball of the last swing left on the face; None where it is not read.
 
-        A person who reads it gets access to the club meanwhile, and opens a supply locked for it again.
+        A person who reads it gets access to the club meanwhile, and opens the supply again.
         """
         if self._hands.person is None:
             return self._hands.look()
-        locked = self._order("release_guard")
+        self._order("release_guard")
         mark = self._hands.person()
         self._order("lock_guard")
-        if locked:
-            self._hands.confirm("Unlock and open the supply, turn the regulator to its pressure in service")
+        self._hands.confirm("Unlock and open the supply, turn the regulator to its pressure in service")
         return mark
 
     # Orders --------------------------------------------------------------------------------------------
@@ -320,6 +320,7 @@ def main() -> int:
     parent = Parent()
     plan: Any = read_plan()
     parent.listen()
+    signal.signal(signal.SIGTSTP, signal.SIG_DFL)  # stopped with its parent: the watchdog makes it passive
     try:
         serve(plan, parent)
     except (BenchError, SharedMemoryError, DriverError) as error:

@@ -64,6 +64,22 @@ def test_deferred_interrupt_sigint_raises_at_block_end() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_deferred_interrupt_within_another_leaves_end_to_outer() -> None:
+    done = list[str]()
+
+    def nested() -> None:
+        with deferred_interrupt() as outer:
+            with deferred_interrupt() as inner:
+                signal.raise_signal(signal.SIGINT)
+            assert inner is outer
+            assert outer.is_made()
+            done.append("the outer block continues")
+
+    with pytest.raises(KeyboardInterrupt):
+        nested()
+    assert done
+
+
 def test_deferred_interrupt_defers_sigterm_only_with_terminate() -> None:
     before, causes = signal.getsignal(signal.SIGTERM), []
 

@@ -183,7 +183,7 @@ def test_cycle_failed_reading_triggers_open_loop_brake_in_same_tick(holding: Loo
     assert control(holding)["cause"] == Cause.EXCEPTION
 
 
-def test_loop_failed_readings_at_standstill_refuse_arm_until_reset(loop: Loop, driver: Faulty) -> None:
+def test_loop_failed_readings_at_standstill_refuse_arm_until_homing(loop: Loop, driver: Faulty) -> None:
     loop.advance(5)
     driver.fail_read = DriverError("bus off")
     loop.advance(1, Request.ARM)
@@ -194,8 +194,9 @@ def test_loop_failed_readings_at_standstill_refuse_arm_until_reset(loop: Loop, d
     loop.advance(1, Request.ARM)
     assert control(loop)["answer"] == Answer.REFUSED
     loop.advance(1, Request.RESET)
+    assert control(loop)["state"] == State.SAFE
     loop.advance(1, Request.ARM)
-    assert control(loop)["answer"] == Answer.ACCEPTED
+    assert control(loop)["answer"] == Answer.REFUSED
 
 
 def test_loop_failed_readings_keep_first_cause(holding: Loop, driver: Faulty) -> None:

@@ -175,6 +175,7 @@ def test_assess_machine_rewired_after_check_of_inputs_blocks(machine: Machine, c
     c = machine(UNWATCHED)
     calibrate(SeenInputs(("guard closed",), "other wiring"))
     (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
+    assert block["code"] == Block.INPUTS
     assert "with other driver settings" in block["found"]
 
 

@@ -561,15 +561,15 @@ def test_grant_access_without_chamber_sensors_prompts_gauges_and_waits(
         assert source.work_before_arming() == ""
     assert set(asked) == {
         "",
-        "Lock the supply, turn the regulator to 0. Open both hand valves of a joint whose chamber vented slowly "
-        "or whose sensor failed. Once both gauges show 0, press the local reset.",
+        "Lock the supply, turn the regulator to 0. Open both hand valves of a joint whose chamber vented "
+        "slowly or whose sensor failed. Once both gauges show 0, press the local reset.",
     }
 
 
 @pytest.mark.parametrize("state", ["ESTOP", "FAULT"])
 def test_grant_access_stopped_machine_sends_no_person_in(plan: CampaignPlan, state: str) -> None:
     bench = Doors(state=state, driver="canopen")
-    with shots_of(plan, bench, simulated=False) as source, pytest.raises(Suspended, match="reset and home"):
+    with shots_of(plan, bench, simulated=False) as source, pytest.raises(Suspended, match="reset, home"):
         source.grant_access(PromptKind.BALLS, print)
     assert "access" not in bench.asked
 

@@ -287,7 +287,7 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
 ) -> None:
     monkeypatch.setattr("bench.commissioning.machine._machine_server._PERSON", 2.0)
     armed.obey("swing", slow, True)
-    assert armed.obey("release_guard") is False, "no gauge was read: the supply stays open"
+    armed.obey("release_guard")
     inside = driver.commands[-1]
     assert (inside.guard_lock, inside.supply_enable, inside.valve) == (False, False, (0.0, 0.0, 0.0))
     with SurroundingsWriter(tmp_path) as surroundings:
@@ -310,7 +310,7 @@ def test_machine_server_release_guard_shuts_supply_until_lock_guard(
 
 
 @needs_speed
-def test_machine_server_release_guard_reports_supply_locked_for_gauges(
+def test_machine_server_release_guard_calls_person_to_gauges(
     armed: MachineServer, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request, read = SwingOperator.request, list[int]()
@@ -323,15 +323,14 @@ def test_machine_server_release_guard_reports_supply_locked_for_gauges(
         return request(operator, which)
 
     monkeypatch.setattr(SwingOperator, "request", refuse_until_read)
-    assert armed.obey("release_guard") is True
+    armed.obey("release_guard")
     assert said == ["access: " + REFUSAL_TEXT[Refusal.GAUGE]]
 
 
 @needs_speed
-def test_machine_server_release_guard_after_early_press_reports_locked_supply(
-    armed: MachineServer, monkeypatch: pytest.MonkeyPatch
+def test_machine_server_release_guard_after_early_press_calls_person_to_gauges(
+    armed: MachineServer, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A press before the first request also states that gauges were read."""
     request = SwingOperator.request
 
     def press_first(operator: Any, which: int) -> bool:
@@ -342,18 +341,15 @@ def test_machine_server_release_guard_after_early_press_reports_locked_supply(
         return request(operator, which)
 
     monkeypatch.setattr(SwingOperator, "request", press_first)
-    assert armed.obey("release_guard") is True
+    armed.obey("release_guard")
+    assert said == ["access: " + REFUSAL_TEXT[Refusal.GAUGE]]
 
 
-@pytest.mark.parametrize("locked", [False, True])
-def test_live_robot_face_mark_waits_until_locked_supply_is_open(
-    monkeypatch: pytest.MonkeyPatch, locked: bool
-) -> None:
+def test_live_robot_face_mark_waits_until_supply_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[str] = []
 
-    def order(robot: LiveRobot, which: str) -> bool:
+    def order(robot: LiveRobot, which: str) -> None:
         done.append(which)
-        return locked
 
     def mark() -> tuple[float, float]:
         done.append("mark")
@@ -364,7 +360,7 @@ def test_live_robot_face_mark_waits_until_locked_supply_is_open(
     robot = LiveRobot(SimpleNamespace(), SimpleNamespace(), hands)  # type: ignore[arg-type]
     assert robot.face_mark(SimpleNamespace()) == (1.0, 2.0)  # type: ignore[arg-type]
     assert done[:3] == ["release_guard", "mark", "lock_guard"]
-    assert [text.startswith("Unlock and open the supply") for text in done[3:]] == [True] * locked
+    assert [text.startswith("Unlock and open the supply") for text in done[3:]] == [True]
 
 
 @needs_speed
@@ -553,6 +549,24 @@ def test_live_robot_runs_sequence_and_sigint_interrupts(tmp_path: Path, configur
             robot.run((Segment(50.0, OPENING),), BOUNDS)
         robot.make_passive()
         assert time.monotonic() - before < 20.0, "it does not wait for the end of the sequence"
+
+
+@pytest.mark.live
+@pytest.mark.timeout(240)
+def test_live_robot_suspended_terminal_stops_process(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    """The watchdog of the valves then makes the machine passive."""
+    with started(configuration, tmp_path) as robot:
+        process = robot._child.pid
+        state = Path(f"/proc/{process}/stat")
+        os.kill(process, signal.SIGTSTP)
+        deadline = time.monotonic() + 20.0
+        while state.read_text().rpartition(") ")[2][0] != "T":
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        os.kill(process, signal.SIGCONT)
+        robot.make_passive()
 
 
 @pytest.mark.live

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from bench.commissioning.machine.commissioning_step import MachineFault
 from bench.commissioning.machine.machine import MotionTrace
-from bench.commissioning.steps.wiring import _require_sensors
+from bench.commissioning.steps.wiring import _require_sensors, _vent_to_rest
 from sim.plant import PlantParameters
 
 PLANT = PlantParameters()
@@ -25,8 +28,13 @@ def vented(above: float, fall: float) -> MotionTrace:
     )
 
 
-def test_require_sensors_chamber_that_still_vents_is_no_zero_error() -> None:
-    _require_sensors(vented(0.039e5, 0.05e5), PLANT)
+def test_vent_to_rest_waits_until_no_chamber_falls() -> None:
+    ventings = [vented(0.08e5, 0.1e5), vented(0.039e5, 0.05e5), vented(0.02e5, 0.0), vented(0.0, 0.0)]
+    machine = SimpleNamespace(vent=partial(next, iter(ventings)))
+    assert _vent_to_rest(machine) is ventings[2]
+
+
+def test_require_sensors_zero_within_tolerance_passes() -> None:
     _require_sensors(vented(0.02e5, 0.0), PLANT)
 
 
