@@ -553,9 +553,7 @@ def test_live_robot_runs_sequence_and_sigint_interrupts(tmp_path: Path, configur
 
 @pytest.mark.live
 @pytest.mark.timeout(240)
-def test_live_robot_suspended_terminal_stops_process(
-    tmp_path: Path, configuration: Configuration
-) -> None:
+def test_live_robot_suspended_terminal_stops_process(tmp_path: Path, configuration: Configuration) -> None:
     """The watchdog of the valves then makes the machine passive."""
     with started(configuration, tmp_path) as robot:
         process = robot._child.pid
