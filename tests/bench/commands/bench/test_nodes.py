@@ -22,6 +22,8 @@ pytestmark = pytest.mark.live
 
 LONGEST = 100.0
 """s; the first start compiles."""
+OF_ROBOT = '[lifecycle]\nlocal_reset = true\n[loop]\nrealtime = "require"\n'
+"""Keys that a real robot needs."""
 
 
 @pytest.fixture
@@ -53,8 +55,7 @@ def test_nodes_serve_driver_until_ctrl_c(file: Path, tmp_path: Path) -> None:
 
 
 def test_nodes_unknown_interface_reports_action(file: Path) -> None:
-    of_a_robot = '[lifecycle]\nlocal_reset = true\n[loop]\nrealtime = "require"\n'
-    file.write_text(file.read_text().replace("local_socket", "no_such_interface") + of_a_robot)
+    file.write_text(file.read_text().replace("local_socket", "no_such_interface") + OF_ROBOT)
     with command_beside(file, "nodes") as process:
         _, told = process.communicate(timeout=LONGEST)
     assert process.returncode == ExitCode.DEVICE
@@ -70,7 +71,7 @@ def test_nodes_scan_without_canopen_nodes_is_refused(file: Path) -> None:
 
 
 def test_nodes_numbers_in_use_are_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file.write_text(file.read_text().replace("local_socket", "socketcan"))
+    file.write_text(file.read_text().replace("local_socket", "socketcan") + OF_ROBOT)
     there = ScannedNode(22, "encoder of the arm", "an encoder", "", True, "")
     silent = ScannedNode(40, "valves and interlocks", "", "", False, "no answer")
     monkeypatch.setattr("drivers.canopen.scan.scan", lambda *_: [there, silent])
