@@ -34,6 +34,12 @@ class State(IntEnum):
     """Latched."""
 
 
+MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})
+"""States in which the robot moves or may move."""
+LATCHED = frozenset({State.ESTOP, State.FAULT})
+"""States that only a reset ends."""
+
+
 class Request(IntEnum):
     """Requests to the control step; each is answered in its tick."""
 

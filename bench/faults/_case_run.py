@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.lifecycle import REFUSAL_TEXT, Answer, Cause, Phase, Refusal, Request, State
+from bench.base.lifecycle import LATCHED, REFUSAL_TEXT, Answer, Cause, Phase, Refusal, Request, State
 from bench.loop.loop import Cycles
 from bench.simulation.safety import Loads, RunEnd
 from bench.simulation.swing_operator import LockstepEngine
 from sim.plant import Plant
 
-_LATCHED = (State.FAULT, State.ESTOP)
 _CHUNK = 100
 """Ticks between two looks."""
 _INSIDE = 5.0
@@ -120,7 +119,7 @@ class Watch:
             self.rest_tick = self.ticks + int(moving[-1]) + 1
         self._monitor_access(cycles)
         empty = np.flatnonzero(cycles["vented"])
-        if len(empty) and self.vented_tick < 0 and self.state in _LATCHED:
+        if len(empty) and self.vented_tick < 0 and self.state in LATCHED:
             self.vented_tick = self.ticks + int(empty[0])
         if request and cycles["answer"][0] == Answer.REFUSED and cycles["request"][0] == request:
             self.refusals.append((Request(request), Refusal(int(cycles["refusal"][0]))))
@@ -156,7 +155,7 @@ class Watch:
         swings = int(self.bench.control["swings"][0]) + 1
         while self.ticks < longest or self._creeps():
             request: int = 0
-            if self.state in _LATCHED:
+            if self.state in LATCHED:
                 request = Request.ARM if latched_at < 0 else Request.ACCESS  # nothing arms before a reset
                 latched_at = self.ticks if latched_at < 0 else latched_at
                 left.clear()
@@ -183,7 +182,7 @@ class Watch:
 
     def _creeps(self) -> bool:
         """Return whether a stopped robot moves, or may do so, as it stands on air."""
-        if self.state not in _LATCHED or self.ticks >= round(_MAX_CREEP_TIME / self.period):
+        if self.state not in LATCHED or self.ticks >= round(_MAX_CREEP_TIME / self.period):
             return False
         air = self.bench.plant_state["pressure"].max() - self.bench.stepper.plant.plant["atmosphere"][0]
         return bool(air > _EMPTY or self.ticks - self.rest_tick < round(_STILL_FOR / self.period))

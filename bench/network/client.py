@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import zenoh
 
+from bench.base import lifecycle
 from bench.base.address import root_key
 from bench.base.errors import BenchError, Refused
 from bench.base.json_schema import json_object
@@ -66,8 +67,8 @@ _LOOK_AT_SWING = 0.5
 STOP_TIMEOUT = 20.0
 """Max time from a stop until the robot stands, s; a swing that completes and returns takes longest."""
 
-LATCHED = frozenset(state.name for state in status_words.LATCHED)
-_MOVING = frozenset(state.name for state in status_words.MOVING)
+LATCHED = frozenset(state.name for state in lifecycle.LATCHED)
+_MOVING = frozenset(state.name for state in lifecycle.MOVING)
 
 _COMMANDS = {Verb.SECURE: "access --end"}
 """Commands whose name differs from their verb."""

@@ -10,10 +10,6 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, Reaction, State
 from bench.network.bench_service import ArmingBlock, BenchStatus, LaunchMonitorStatus, MonitorStatus
 
-MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})
-"""States in which the robot moves or may move."""
-LATCHED = frozenset({State.ESTOP, State.FAULT})
-
 STATE_WORDS = {
     State.STARTING: ("Not ready yet", "Wait until the bench has started."),
     State.ESTOP: ("Stopped and latched", "Clear the cause, then reset."),

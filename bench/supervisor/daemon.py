@@ -20,7 +20,18 @@ import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.base.interrupt import StopFlag, stop_on_signals
-from bench.base.lifecycle import CAUSE_TEXT, Block, Cause, Phase, Reaction, Refusal, Request, State
+from bench.base.lifecycle import (
+    CAUSE_TEXT,
+    LATCHED,
+    MOVING,
+    Block,
+    Cause,
+    Phase,
+    Reaction,
+    Refusal,
+    Request,
+    State,
+)
 from bench.calibration.archive import calibration_of
 from bench.config import Configuration
 from bench.design.static_checks import beyond_range
@@ -38,7 +49,7 @@ from bench.network.bench_service import (
 )
 from bench.network.command_plane import CommandPlane
 from bench.network.lease import Lease
-from bench.network.status_words import LATCHED, MOVING, block_text
+from bench.network.status_words import block_text
 from bench.network.zenoh_session import close_session, open_daemon
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot_message import ShotJoin, shot_publication

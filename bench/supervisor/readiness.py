@@ -104,13 +104,14 @@ class Readiness:
         """Return the reasons that block arming at `now`."""
         swing = [fault for check in self.checks for fault in check.faults]
         return [
-            *(
-                arming_block(getattr(fault, "code", Block.CONFIGURATION), fault)
-                for fault in self.contradictions
-            ),
+            *map(_contradiction_block, self.contradictions),
             *(arming_block(Block.SWING, fault) for fault in swing),
             *(arming_block(problem.code, problem) for problem in self.calibration.problems(now)),
         ]
+
+
+def _contradiction_block(fault: BenchError) -> ArmingBlock:
+    return arming_block(fault.code if isinstance(fault, CalibrationProblem) else Block.CONFIGURATION, fault)
 
 
 def arming_block(code: Block, fault: BenchError) -> ArmingBlock:

@@ -22,13 +22,11 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
 from bench.base.errors import BenchError
-from bench.base.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Phase, Reaction, Request, State
+from bench.base.lifecycle import ACCEPTED_IN, LATCHED, MOVING, NEEDS_LEASE, Phase, Reaction, Request, State
 from bench.network.bench_service import BenchStatus, CauseStatus
 from bench.network.client import BenchClient, checked_status
 from bench.network.command import REQUESTS
 from bench.network.status_words import (
-    LATCHED,
-    MOVING,
     PHASE_WORDS,
     REACTION_WORDS,
     interlock_conditions,

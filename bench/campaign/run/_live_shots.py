@@ -50,7 +50,7 @@ from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
 from bench.network.bench_operator import READY, BenchOperator, NoShot, in_words, require_kind
 from bench.network.bench_service import BenchStatus
-from bench.network.client import BenchClient, CommandRefused
+from bench.network.client import LATCHED, BenchClient, CommandRefused
 from bench.network.lease import CAMPAIGN_HOLDER, MAX_HOLDER_LENGTH
 from bench.network.status_words import absent_monitor_text
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, flown, plant_of
@@ -281,7 +281,7 @@ class LiveShots(ShotSource):
 
     def _is_open(self, status: BenchStatus) -> bool:
         """Return whether the guard is released; a stopped machine gives a person no work inside."""
-        if status["state"] in ("ESTOP", "FAULT") and not self.simulated:
+        if status["state"] in LATCHED and not self.simulated:
             raise Suspended(f"{in_words(status)}: golfbench access --end, reset, home, then resume")
         return status["state"] == "ACCESS"
 

@@ -22,7 +22,15 @@ from bench.campaign.plan.gate import outside
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Course, Ending, Role, Step
 from bench.campaign.run._corrections import DriftDetector
-from bench.campaign.run.shot_source import Operator, ShotPostponed, ShotSource, Suspended, Taken, Watcher
+from bench.campaign.run.shot_source import (
+    BlockingCondition,
+    Operator,
+    ShotPostponed,
+    ShotSource,
+    Suspended,
+    Taken,
+    Watcher,
+)
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.telemetry.record_file import write_swing
@@ -459,10 +467,9 @@ class Runner:
         if (first := self._source.hindrance(step)) is None:
             return
         self._commit()
+        self._end_on_machine(first)
         if not first.armed:
             self._source.rest()
-            if not self._source.simulated:  # a person may stand at the hindrance, in the line of flight
-                raise Suspended(first.text)
         began = free_since = time.monotonic()
         self._stand(CampaignState.SUSPENDED, first.text)
         self._watcher.say(f"suspended: {first.text}")
@@ -470,14 +477,22 @@ class Runner:
             self._obey_requests()
             if found := self._source.hindrance(step):
                 free_since = now
-                if not (found.armed or self._source.simulated):
-                    self._source.rest()
-                    raise Suspended(found.text)
+                self._end_on_machine(found)
                 if self._store.standing(self._entry.id).state is not CampaignState.SUSPENDED:
                     self._stand(CampaignState.SUSPENDED, found.text)  # it was paused meanwhile
             time.sleep(_LOOK)
         self._stand(CampaignState.RUNNING, "")
         self._say("suspended", f"{first.text}; continued automatically after {now - began:.0f} s")
+
+    def _end_on_machine(self, hindrance: BlockingCondition) -> None:
+        """Vent a machine that may not wait armed; a person may stand at the hindrance, in the line of flight.
+
+        Raises:
+            Suspended: it was vented, and waits for `campaign resume`.
+        """
+        if not (hindrance.armed or self._source.simulated):
+            self._source.rest()
+            raise Suspended(hindrance.text)
 
     def _say(self, kind: str, text: str) -> None:
         """Report an event now, and store it with the next shot."""

@@ -39,10 +39,10 @@ from prompt_toolkit.output import Output
 from prompt_toolkit.styles import Style
 
 from bench.base.errors import BenchError, ExitCode, did_you_mean
-from bench.base.lifecycle import State, in_one
+from bench.base.lifecycle import LATCHED, MOVING, State, in_one
 from bench.commands.bench.status_table import REDRAW, SILENT
 from bench.network.client import BenchClient
-from bench.network.status_words import LATCHED, MOVING, sentence, state_words
+from bench.network.status_words import sentence, state_words
 from bench.network.zenoh_session import NoAnswer
 
 if TYPE_CHECKING:

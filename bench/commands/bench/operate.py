@@ -18,10 +18,10 @@ import typer
 from rich.console import Console
 
 from bench.base.errors import BenchError, Refused
-from bench.base.lifecycle import Reaction, Refusal, State
+from bench.base.lifecycle import MOVING, Reaction, Refusal, State
 from bench.commands.common import Json, Session, exit_unless, flag, option, show_json, user_name
 from bench.network.lease import DEFAULT_SECONDS, MAX_SECONDS, MIN_SECONDS
-from bench.network.status_words import MOVING, REACTION_WORDS, state_line
+from bench.network.status_words import REACTION_WORDS, state_line
 
 if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus, CommandAnswer

@@ -175,7 +175,6 @@ def _require_free(configuration: Configuration) -> None:
     Raises:
         Refused: some answer.
     """
-    from drivers.base import DriverError
     from drivers.canopen.scan import scan as scan_bus
 
     bus = configuration.canopen

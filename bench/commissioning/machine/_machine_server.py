@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.base.clock import Clock
 from bench.base.errors import Refused
-from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
+from bench.base.lifecycle import CAUSE_WORDS, LATCHED, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.commissioning.machine.driver_machine import (
     DriverMachine,
     Stalled,
@@ -68,8 +68,6 @@ _LAST = 5.0
 _SWINGS, _CHUNK = 300, 10
 """Max requests for a swing, and ticks between two."""
 
-_LATCHED = (State.ESTOP, State.FAULT)
-"""States that only a reset ends."""
 _BY_PERSON = (Cause.EMERGENCY_STOP, Cause.GUARD)
 """Causes after which a reset alone does not start the robot again."""
 
@@ -242,7 +240,7 @@ class LiveSeries:
         was_released = self._state is State.ACCESS
         self._operator.begin_record()
         self._operator.advance(1)
-        if was_released and self._state in _LATCHED:
+        if was_released and self._state in LATCHED:
             cause = Cause(int(self._operator.control["cause"][0]))
             self._say(f"Leave the robot, leave the guard open ({CAUSE_WORDS[cause][0]}).")
 
@@ -279,7 +277,7 @@ class LiveSeries:
         operator = self._operator
         operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
         self._require_no_stop()
-        if self._state in _LATCHED:
+        if self._state in LATCHED:
             self._revive()
             self._ask(Request.RESET)
         if self._state is State.SAFE:
@@ -305,7 +303,7 @@ class LiveSeries:
             if person and not called:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True
-            latched = self._state in _LATCHED and request is not Request.RESET  # no waiting changes that
+            latched = self._state in LATCHED and request is not Request.RESET  # no waiting changes that
             if latched or waited > (_PERSON if person else timeout):
                 air = operator.stepper.record["air_fault"][0]
                 fact, action = refusal_words(refusal, getattr(self._driver, "fault", ""), air)

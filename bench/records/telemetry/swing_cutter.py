@@ -17,14 +17,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.base.lifecycle import State
+from bench.base.lifecycle import LATCHED, MOVING, State
 from bench.records.telemetry.cycle_record import CYCLE
 
 Cycles = np.ndarray[Any, Any]
 """Records of CYCLE, `time` on the loop's clock."""
 
-MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})
-LATCHED = frozenset({State.FAULT, State.ESTOP})
 _MOVING = np.array([state in MOVING for state in State])
 
 

@@ -49,8 +49,8 @@ from typing import Any
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.base.lifecycle import CAUSE_TEXT, Cause, State
-from bench.records.telemetry.swing_cutter import MOVING, Cycles, RecordSegment
+from bench.base.lifecycle import CAUSE_TEXT, MOVING, Cause, State
+from bench.records.telemetry.swing_cutter import Cycles, RecordSegment
 from bench.swing.profile import Profile
 
 _GRID = 1024

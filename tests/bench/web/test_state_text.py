@@ -7,11 +7,10 @@ import re
 
 import pytest
 
-from bench.base.lifecycle import CAUSE_WORDS, Phase, Reaction, State
+from bench.base.lifecycle import CAUSE_WORDS, MOVING, Phase, Reaction, State
 from bench.network.bench_service import CauseStatus
 from bench.network.status_words import (
     COMMANDS,
-    MOVING,
     NO_BALL,
     PHASE_WORDS,
     REACTION_WORDS,
