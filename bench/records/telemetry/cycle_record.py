@@ -172,16 +172,26 @@ def arrow_schema() -> pa.Schema:
     )
 
 
-def to_arrow(cycles: np.ndarray[Any, Any]) -> pa.Table:
-    """Return `cycles` (n records of CYCLE) as an Arrow table of `arrow_schema()`; NaN stays NaN."""
+def to_arrow(cycles: np.ndarray[Any, Any], schema: pa.Schema | None = None) -> pa.RecordBatch:
+    """Return `cycles` (n records of CYCLE) as Arrow columns, by default of `arrow_schema()`; NaN stays NaN.
+
+    From buffers: `pa.array` imports pandas where it is installed, 40 MB and 2 s.
+    """
     import pyarrow as pa
 
+    schema = schema or arrow_schema()
+    values = [column for field in FIELDS for column in np.atleast_2d(cycles[field.name].T)]
     columns = [
-        pa.array(np.ascontiguousarray(values), from_pandas=False)
-        for field in FIELDS
-        for values in np.atleast_2d(cycles[field.name].T)
+        pa.Array.from_buffers(kind, len(cycles), [None, pa.py_buffer(_packed(column))])
+        for kind, column in zip(schema.types, values, strict=True)
     ]
-    return pa.Table.from_arrays(columns, schema=arrow_schema())
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def _packed(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return `column` (n,) as Arrow stores it: contiguous, Booleans as bits."""
+    is_boolean = column.dtype == bool
+    return np.packbits(column, bitorder="little") if is_boolean else np.ascontiguousarray(column)
 
 
 def name_columns(cycles: np.ndarray[Any, Any]) -> dict[str, pa.DictionaryArray]:
@@ -191,19 +201,28 @@ def name_columns(cycles: np.ndarray[Any, Any]) -> dict[str, pa.DictionaryArray]:
     columns = {}
     for field in FIELDS:
         if field.names:
-            codes = [int(code) for code in ENUMERATIONS[field.names]]
-            place = np.full(max(codes) + 1, -1)
-            place[codes] = np.arange(len(codes))
-            found = cycles[field.name].astype(int)
-            known = (found >= 0) & (found < len(place))
-            index = np.where(known, place[np.where(known, found, 0)], -1)
-            columns[f"{field.name}_name"] = pa.DictionaryArray.from_arrays(
-                pa.array(index.astype("i1"), mask=index < 0), pa.array(ENUMERATIONS[field.names].values())
-            )
+            place, names = _dictionary(field.names)
+            index = place[np.clip(cycles[field.name].astype(int), -1, len(place) - 1)]
+            buffers = [pa.py_buffer(_packed(index >= 0)), pa.py_buffer(index)]
+            indices = pa.Array.from_buffers(pa.int8(), len(cycles), buffers)
+            columns[f"{field.name}_name"] = pa.DictionaryArray.from_arrays(indices, names)
     return columns
 
 
-def from_arrow(table: pa.Table) -> np.ndarray[Any, Any]:
+@cache
+def _dictionary(enumeration: str) -> tuple[np.ndarray[Any, Any], pa.StringArray]:
+    """Return the position of each code in the names of an enumeration, -1 for an unknown one; the names."""
+    import pyarrow as pa
+
+    codes, names = [int(code) for code in ENUMERATIONS[enumeration]], list(ENUMERATIONS[enumeration].values())
+    place = np.full(max(codes) + 2, -1, np.int8)  # also the last one: it stands for all larger codes and -1
+    place[codes] = np.arange(len(codes))
+    ends = np.cumsum([0, *map(len, names)], dtype=np.int32)
+    text = pa.py_buffer("".join(names).encode())
+    return place, pa.StringArray.from_buffers(len(names), pa.py_buffer(ends), text)
+
+
+def from_arrow(table: pa.Table | pa.RecordBatch) -> np.ndarray[Any, Any]:
     """Return the records of CYCLE in `table`, bit for bit those given to `to_arrow`.
 
     Raises KeyError naming the first column that is missing.
@@ -212,7 +231,7 @@ def from_arrow(table: pa.Table) -> np.ndarray[Any, Any]:
     for field in FIELDS:
         target = cycles[field.name].reshape(table.num_rows, len(field.columns))
         for index, column in enumerate(field.columns):
-            target[:, index] = table.column(column).to_numpy()
+            target[:, index] = table.column(column).to_numpy(zero_copy_only=False)
     return cycles
 
 

@@ -35,10 +35,16 @@ Cycles = np.ndarray[Any, Any]
 METADATA_KEY, UNITS_KEY = b"golfbench", b"units"
 """Keys of the JSON texts in the Parquet file's key-value metadata."""
 
-# Neighbouring samples of a float share their upper bytes: splitting the bytes into streams lets zstd
-# see that. Codes and switches stay constant for long: a dictionary holds them in a few bytes.
-_SPLIT = [column for field in FIELDS if field.dtype == "f8" for column in field.columns]
-_REPEATED = [column for field in FIELDS if field.dtype != "f8" for column in field.columns]
+# Neighbouring samples of a float share their upper bytes: splitting the bytes into streams lets the
+# compression see that. Names repeat: a dictionary holds them in a few bytes.
+_FLOATS = [column for field in FIELDS if field.dtype == "f8" for column in field.columns]
+_CODES = [column for field in FIELDS if field.dtype != "f8" for column in field.columns]
+_OPTIONS: dict[str, Any] = {
+    "compression": "zstd",
+    "use_dictionary": [f"{field.name}_name" for field in FIELDS if field.names],
+    "column_encoding": dict.fromkeys(_FLOATS, "BYTE_STREAM_SPLIT"),
+    "write_statistics": _CODES,  # those that somebody selects rows by
+}
 
 
 def write_swing(path: Path, cycles: Cycles, metadata: Mapping[str, Any]) -> None:
@@ -59,17 +65,12 @@ def write_swing(path: Path, cycles: Cycles, metadata: Mapping[str, Any]) -> None
     text = json.dumps(
         {"schema_version": SCHEMA_VERSION, "enumerations": ENUMERATIONS, **metadata}, allow_nan=False
     )
-    columns, names = to_arrow(cycles).columns, name_columns(cycles)
+    names = name_columns(cycles)
     schema = _schema(tuple((name, column.type) for name, column in names.items()))
     schema = schema.with_metadata(arrow_schema().metadata | {METADATA_KEY: text.encode()} | schema.metadata)
+    table = pa.Table.from_arrays([*to_arrow(cycles).columns, *names.values()], schema=schema)
     with atomic_path(path) as partial:  # by its name: a Python stream would take the interpreter's lock
-        pq.write_table(
-            pa.Table.from_arrays([*columns, *names.values()], schema=schema),
-            str(partial),
-            compression="zstd",
-            use_dictionary=[*_REPEATED, *names],
-            column_encoding=dict.fromkeys(_SPLIT, "BYTE_STREAM_SPLIT"),
-        )
+        pq.write_table(table, str(partial), **_OPTIONS)
 
 
 @cache

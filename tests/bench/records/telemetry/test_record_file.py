@@ -3,6 +3,8 @@ from __future__ import annotations
 import json
 import os
 import resource
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +17,7 @@ import pytest
 
 from bench.base.atomic_file import NotStored, atomic_file
 from bench.base.errors import BenchError
+from bench.base.lifecycle import Cause
 from bench.records.telemetry.cycle_record import CYCLE, SCHEMA_VERSION
 from bench.records.telemetry.record_file import METADATA_KEY, read_swing, record_files, write_swing
 
@@ -53,6 +56,24 @@ def test_write_swing_same_input_gives_same_bytes(tmp_path: Path, make_swing: Cal
     for name in ("a", "b"):
         write_swing(tmp_path / name, make_swing(2), METADATA)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_write_swing_loads_no_pandas(tmp_path: Path) -> None:
+    code = (
+        "import sys, numpy as np\nfrom pathlib import Path\n"
+        "from bench.records.telemetry.record_file import CYCLE, write_swing\n"
+        f"write_swing(Path({str(tmp_path / 'swing.parquet')!r}), np.zeros(3, CYCLE), {{}})\n"
+        "assert 'pyarrow' in sys.modules and 'pandas' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_write_swing_stores_no_name_of_unknown_code(tmp_path: Path) -> None:
+    cycles = np.zeros(4, CYCLE)
+    cycles["cause"] = [0, -7, 1 << 20, Cause.EMERGENCY_STOP]
+    write_swing(tmp_path / "swing.parquet", cycles, {})
+    names = pq.read_table(tmp_path / "swing.parquet").column("cause_name").to_pylist()
+    assert names == ["NONE", None, None, "EMERGENCY_STOP"]
 
 
 def test_write_swing_stores_plain_columns_with_units(
