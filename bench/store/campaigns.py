@@ -13,7 +13,7 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import Any, NamedTuple, TypeVar, get_type_hints
 
-from sqlalchemy import Connection, Engine, Executable, Select, Table, func, insert, select, update
+from sqlalchemy import Connection, Engine, Executable, Select, Table, func, insert, select, text, update
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from bench.base.errors import BenchError, Refused
@@ -277,6 +277,8 @@ class CampaignStore:
         ]
         found = [{"campaign": entry.id, **event._asdict()} for event in events]
         asked = [{"campaign": entry.id, **prompt._asdict()} for prompt in prompts]
+        scope = entry.hit_scope
+        counted = [{"scope": scope, "hits": n, **hit._asdict()} for hit, n in (hits or {}).items()]
 
         def work(connection: Connection) -> None:
             if rows:
@@ -287,8 +289,8 @@ class CampaignStore:
                 first: int = connection.execute(select(_next(PROMPTS.c.answer))).scalar_one()
                 numbered = [row | {"answer": order} for order, row in enumerate(asked, first)]
                 connection.execute(insert(PROMPTS), numbered)
-            for hit, number in (hits or {}).items():
-                _count(connection, entry.hit_scope, hit, number)
+            if counted:
+                connection.execute(_COUNT, counted)
 
         try:
             self._write(work)
@@ -387,8 +389,8 @@ def _next(column: Any, *where: Any) -> Any:
     return select(func.coalesce(func.max(column), 0) + 1).where(*where).scalar_subquery()
 
 
-def _count(connection: Connection, scope: str, hit: Hit, number: int) -> None:
-    c = HITS.c
-    mine = (c.scope == scope) & (c.kind == hit.kind) & (c.name == hit.name) & (c.sample == hit.sample)
-    if not connection.execute(update(HITS).where(mine).values(hits=c.hits + number)).rowcount:
-        connection.execute(insert(HITS).values(scope=scope, **hit._asdict(), hits=number))
+_COUNT = text(
+    "INSERT INTO hit_counts (scope, kind, name, sample, hits) VALUES (:scope, :kind, :name, :sample, :hits) "
+    "ON CONFLICT (scope, kind, name, sample) DO UPDATE SET hits = hit_counts.hits + excluded.hits"
+)
+"""Adds uses of a part; SQLite and PostgreSQL know it, and neither asks first whether the row is there."""
