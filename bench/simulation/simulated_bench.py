@@ -39,7 +39,13 @@ from bench.records.shot.shot import (
     flight_columns,
     launch_columns,
 )
-from bench.records.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry, versions
+from bench.records.telemetry.swing_metadata import (
+    begin_of,
+    profile_entry,
+    snapshot_entry,
+    subtract_begin,
+    versions,
+)
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import Loads, RunEnd, SafetyLimits, unsafe_reasons
 from bench.simulation.swing_operator import RETURN_TIMEOUT, STANDSTILL_TIMEOUT, LockstepEngine, joined, never
@@ -214,7 +220,7 @@ class PoweredBench:
         engine = self.engine
         cycles = engine.record()
         begin = begin_of(cycles)
-        cycles = since(cycles, begin)
+        subtract_begin(cycles, begin)
         club, robot, site = self.bench.plant.robot.club, self.bench.plant.robot, self.bench.plant.site
         contact = contact_in(engine.plant_state)
         delivery = launch = flight = None

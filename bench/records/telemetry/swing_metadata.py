@@ -128,9 +128,14 @@ def begin_of(cycles: Cycles) -> float:
 def since(cycles: Cycles, begin: float) -> Cycles:
     """Return a copy of `cycles` with times from `begin` (s) on; -`begin` gives the loop's times back."""
     moved: Cycles = np.frombuffer(bytearray(cycles.view(np.uint8)), cycles.dtype)
-    moved["time"] -= begin
-    moved["encoder_time"] -= begin
+    subtract_begin(moved, begin)
     return moved
+
+
+def subtract_begin(cycles: Cycles, begin: float) -> None:
+    """Let the times of `cycles` count from `begin` (s) on."""
+    cycles["time"] -= begin
+    cycles["encoder_time"] -= begin
 
 
 def _outcome(cut: RecordSegment) -> dict[str, Any]:
@@ -159,7 +164,7 @@ def snapshot_entry(snapshot: np.ndarray[Any, Any]) -> dict[str, Any]:
         "tick": int(snapshot["tick"][0]),
         "time": float(snapshot["time"][0]),
         "layout": layout_of(snapshot.dtype),
-        "data": base64.b64encode(zlib.compress(snapshot.tobytes())).decode(),
+        "data": base64.b64encode(zlib.compress(snapshot.tobytes(), 1)).decode(),
     }
 
 
