@@ -7,6 +7,7 @@ the air that the one before left, on a plant that may differ from the bench's mo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from typing import Any, NamedTuple
@@ -278,6 +279,12 @@ class ArmedBench(PoweredBench):
         else:
             return
         self._mark = engine.mark()
+
+    def copy(self) -> ArmedBench:
+        """Return an independent bench whose swings begin at the same instant."""
+        other = copy(self)
+        vars(other).update(engine=self.engine.copy(), _snapshot=self._snapshot.copy())
+        return other
 
     def swing_on(self, plant: PlantParameters, ball: Ball | None) -> SwingResult:
         """Swing at `ball` from the instant of arming, with the plant as it is at this shot."""

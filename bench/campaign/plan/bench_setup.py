@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any, NamedTuple
 
 from bench.campaign.plan.plan import CampaignPlan
@@ -132,15 +133,25 @@ def coming_balls(plan: CampaignPlan, trial: PlannedShot, hits: Mapping[Hit, int]
 
     A ball comes once: it must be picked up before it can be filled in again.
     """
-    counted, found = Counter(hits), list[Numbered]()
-    for coming in _coming_trials(plan, trial)[: plan.ball_handling.magazine]:
-        ball = coming.arm.ball
-        sample = sample_for(plan, coming, counted)
-        if sample is None or (ball, sample) in found:
+    found = list[Numbered]()
+    for coming, sample in islice(coming_shots(plan, trial, hits), plan.ball_handling.magazine):
+        if (coming.arm.ball, sample) in found:
             break
-        found.append((ball, sample))
-        counted[Hit("ball", ball, sample)] += 1
+        found.append((coming.arm.ball, sample))
     return found
+
+
+def coming_shots(
+    plan: CampaignPlan, trial: PlannedShot, hits: Mapping[Hit, int]
+) -> Iterator[tuple[PlannedShot, int]]:
+    """Yield the shots from `trial` on and the numbers of their balls, as if every shot were valid."""
+    counted = Counter(hits)
+    for coming in _coming_trials(plan, trial):
+        sample = sample_for(plan, coming, counted)
+        if sample is None:
+            return
+        yield coming, sample
+        counted[Hit("ball", coming.arm.ball, sample)] += 1
 
 
 def sample_for(plan: CampaignPlan, trial: PlannedShot, hits: Counter[Hit]) -> int | None:
@@ -157,9 +168,10 @@ def sample_for(plan: CampaignPlan, trial: PlannedShot, hits: Counter[Hit]) -> in
         if hits[Hit("ball", ball, number)] < handling.hits:
             return number
     numbers = range(handling.first_sample, handling.first_sample + handling.samples)
-    used = {hit.sample: number for hit, number in hits.items() if (hit.kind, hit.name) == ("ball", ball)}
-    number = min(numbers, key=lambda sample: used.get(sample, 0))
-    return number if used.get(number, 0) < handling.hits else None
+    hit_so_far = {hit.sample: n for hit, n in hits.items() if (hit.kind, hit.name) == ("ball", ball)}
+    used = dict.fromkeys(numbers, 0) | hit_so_far
+    number = min(numbers, key=used.__getitem__)
+    return number if used[number] < handling.hits else None
 
 
 def _coming_trials(plan: CampaignPlan, trial: PlannedShot) -> list[PlannedShot]:
@@ -175,7 +187,7 @@ def _coming_trials(plan: CampaignPlan, trial: PlannedShot) -> list[PlannedShot]:
     block = trial.block - (trial.section - 1) * plan.design.blocks
     trials = [
         each
-        for number in range(block, min(block + plan.ball_handling.magazine, plan.design.blocks) + 1)
+        for number in range(block, min(block + max(1, plan.ball_handling.magazine), plan.design.blocks) + 1)
         for each in block_trials(plan, section, number)
     ]
     return trials[trial.position - 1 :]

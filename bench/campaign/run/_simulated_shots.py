@@ -6,11 +6,14 @@ where the server would have them from, at the times they would come.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
+from itertools import islice
 from math import pi
+from queue import SimpleQueue
 from typing import Any
 from zlib import crc32
 
@@ -18,7 +21,7 @@ import numpy as np
 
 from bench.campaign.plan.carry import Measured
 from bench.campaign.plan.plan import CampaignPlan, Simulation
-from bench.campaign.plan.shot_sequence import Step
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Step
 from bench.campaign.run._corrections import CampaignCorrections, Drift
 from bench.campaign.run.shot_source import MonitorResult, ShotSource, Taken, shot_row, with_launch
 from bench.config import Configuration
@@ -67,6 +70,10 @@ def hear(
 BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
 """Virtual time of a simulated campaign's first shot, fixed so that it is repeatable."""
 
+_BENCHES = 2
+"""Benches that swing at the same time, each in its thread; compiled code holds no lock."""
+_Swing = tuple[SwingResult, PlantParameters, np.ndarray]
+"""A swing, the plant that made it, and the normal numbers of its shot."""
 _SHOTS, _SAMPLES, _CARRIES = 1, 2, 3
 """Streams of random numbers."""
 
@@ -132,7 +139,11 @@ class SimulatedShots(ShotSource):
             dropped=plan.simulation.missing_launch,
             seed=plan.design.seed,
         )
-        self._armed: dict[tuple[str, str], tuple[ArmedBench, dict[str, Any]]] = {}
+        self._armed: dict[tuple[str, str], tuple[SimpleQueue[ArmedBench], dict[str, Any]]] = {}
+        """Free armed benches by swing and club, and the metadata of all their records."""
+        self._pool = ThreadPoolExecutor(_BENCHES, "swing-ahead")
+        self._ahead: dict[tuple[Arm, int, int], Future[_Swing]] = {}
+        """Swings started ahead of their turn, by arm, number and ball."""
 
     def time_of(self, number: int) -> datetime:
         """Return the time of shot `number`."""
@@ -147,7 +158,22 @@ class SimulatedShots(ShotSource):
 
         text = self._swings.refresh(drift, number, robot, truth)
         self._armed.pop(drift.arm, None)
+        self._ahead.clear()
         return text
+
+    def foresee(self, number: int, coming: Iterator[tuple[PlannedShot, int]]) -> None:
+        """Start the swings from shot `number` on with benches that are armed; two run at a time.
+
+        A swing depends on plan, arm, number and ball only: one that comes to nothing changes nothing.
+        """
+        before, self._ahead = self._ahead, {}
+        for shot, (trial, ball) in enumerate(islice(coming, 1 + _BENCHES), number):
+            if (trial.arm.swing, trial.arm.club) in self._armed:
+                key = trial.arm, shot, ball
+                swing = before.pop(key) if key in before else self._pool.submit(self._swing, *key)
+                self._ahead[key] = swing
+        for swing in before.values():
+            swing.cancel()
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""
@@ -159,16 +185,10 @@ class SimulatedShots(ShotSource):
             time, air, fault = self.time_of(number), self._configuration.air, "feeder jam: no ball came"
             shot = shot_row(step, number, sample, time, ShotStatus.FAILED, fault, air=air)
             return Taken(shot, None, {}, False, tuple(events))
-        armed, base = self._bench(arm.swing, arm.club)
-        random = random_of(self._plan, number)
-        draws = random.standard_normal(6)
-        ball = ball_as_hit(self._plan, arm.ball, sample, number, float(draws[0]))
-        c = self._configuration
-        supply = replace(c.plant.supply, pressure=c.plant.supply.pressure * (1 + s.supply * float(draws[1])))
-        plant = replace(
-            self._worn(arm.club, number), ball=ball, supply=supply, seed=int(random.integers(2**31))
-        )
-        result = armed.swing_on(plant, None if number in s.missed_ball else ball)
+        _, base = self._bench(arm.swing, arm.club)
+        swing = self._ahead.get((arm, number, sample))
+        result, plant, draws = swing.result() if swing else self._swing(arm, number, sample)
+        c, ball, supply = self._configuration, plant.ball, plant.supply
         around, time = FlightConditions(c.air, c.wind, c.turf), self.time_of(number)
         status, reason, delivery = result.status, result.reason, result.delivery
         row = shot_row(step, number, sample, time, status, reason, delivery=delivery, air=c.air)
@@ -184,6 +204,23 @@ class SimulatedShots(ShotSource):
             shot, result.cycles, metadata, result.launch is not None, tuple(events), result.interrupted
         )
 
+    def _swing(self, arm: Arm, number: int, sample: int) -> _Swing:
+        """Swing for shot `number` with ball `sample`, on an armed bench that is free."""
+        s, random = self._plan.simulation, random_of(self._plan, number)
+        draws = random.standard_normal(6)
+        ball = ball_as_hit(self._plan, arm.ball, sample, number, float(draws[0]))
+        supply = self._configuration.plant.supply
+        supply = replace(supply, pressure=supply.pressure * (1 + s.supply * float(draws[1])))
+        plant = replace(
+            self._worn(arm.club, number), ball=ball, supply=supply, seed=int(random.integers(2**31))
+        )
+        free, _ = self._armed[arm.swing, arm.club]
+        bench = free.get()
+        try:
+            return bench.swing_on(plant, None if number in s.missed_ball else ball), plant, draws
+        finally:
+            free.put(bench)
+
     def _heard(self, number: int, result: SwingResult, noise: np.ndarray) -> MonitorResult:
         """Return the report of the simulated launch monitor; empty without a launch."""
         if result.launch is None:
@@ -196,8 +233,8 @@ class SimulatedShots(ShotSource):
         launch = heard.launch and replace(heard.launch, source="simulated")
         return heard._replace(launch=launch)
 
-    def _bench(self, swing: str, club: str) -> tuple[ArmedBench, dict[str, Any]]:
-        """Return the bench armed with a swing and a club, and the metadata of all its records."""
+    def _bench(self, swing: str, club: str) -> tuple[SimpleQueue[ArmedBench], dict[str, Any]]:
+        """Return benches armed with a swing and a club, and the metadata of all their records."""
         if (swing, club) not in self._armed:
             profile = self._swings.profile((swing, club))
             # The limits are for the robot without the plan's scatter.
@@ -213,7 +250,10 @@ class SimulatedShots(ShotSource):
                 "digest": self._plan.digest,
                 "scatter": asdict(self._plan.simulation),
             }
-            self._armed[swing, club] = ArmedBench(bench, self._stop), bench.metadata({"series": series})
+            armed, free = ArmedBench(bench, self._stop), SimpleQueue[ArmedBench]()
+            for each in (armed, *(armed.copy() for _ in range(_BENCHES - 1))):
+                free.put(each)
+            self._armed[swing, club] = free, bench.metadata({"series": series})
         return self._armed[swing, club]
 
     def _worn(self, club: str, number: int) -> PlantParameters:

@@ -17,7 +17,14 @@ from sqlalchemy.exc import SQLAlchemyError
 from bench.base.atomic_file import NotStored
 from bench.base.errors import BenchError
 from bench.campaign.interruptions import duration_text, found_at_begin
-from bench.campaign.plan.bench_setup import Fitting, Preparation, fitting_after, missing, sample_for
+from bench.campaign.plan.bench_setup import (
+    Fitting,
+    Preparation,
+    coming_shots,
+    fitting_after,
+    missing,
+    sample_for,
+)
 from bench.campaign.plan.gate import outside
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import Course, Ending, Role, Step
@@ -279,6 +286,7 @@ class Runner:
                 continue
             if drift := self._drifts.before(step):
                 self._say("learned", self._source.relearn(drift, number))
+            self._source.foresee(number, coming_shots(self._plan, step.trial, self._hits))
             try:
                 taken = self._source.take(step, number, sample)
             except ShotPostponed as postponed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from bench.campaign.plan.bench_setup import Preparation
 from bench.campaign.plan.carry import Measured, carry_columns
 from bench.campaign.plan.plan import CampaignPlan
-from bench.campaign.plan.shot_sequence import Step
+from bench.campaign.plan.shot_sequence import PlannedShot, Step
 from bench.campaign.run._corrections import Drift
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import Shot, ShotStatus, delivery_columns
@@ -132,6 +132,9 @@ class ShotSource:
             KeyboardInterrupt: a stop was requested before the swing.
         """
         raise NotImplementedError
+
+    def foresee(self, number: int, coming: Iterator[tuple[PlannedShot, int]]) -> None:
+        """Prepare shot `number` and the `coming` ones with their balls, which may still change."""
 
     def relearn(self, drift: Drift, number: int) -> str:
         """Relearn a drifted swing before shot `number`; return the text of the event.
