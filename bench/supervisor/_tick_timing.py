@@ -49,7 +49,14 @@ _COMPILED_ACTION = "check that NUMBA_DISABLE_JIT is not set: the numerics must r
 
 @compiled
 def _count(words: Any, segment: int, duration: int) -> None:
-    words[_COUNT + segment * BUCKETS + np.searchsorted(_EDGES, duration, side="right")] += 1
+    above, end = 0, len(_EDGES)  # np.searchsorted would take numba a second
+    while above < end:
+        middle = (above + end) // 2
+        if _EDGES[middle] <= duration:
+            above = middle + 1
+        else:
+            end = middle
+    words[_COUNT + segment * BUCKETS + above] += 1
     words[_MAX_DURATION + segment] = max(words[_MAX_DURATION + segment], duration)
 
 

@@ -7,7 +7,7 @@ from hashlib import sha256
 from typing import Any
 
 import numba
-from numba.core import event, types
+from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 
 from drivers.base.compile_report import progress
@@ -89,6 +89,16 @@ def _kept_code(made: Any) -> Any:
     return getattr(getattr(made, "_cache", None), "_cache_file", None)
 
 
+def keeps(made: Any, arguments: tuple[Any, ...]) -> bool:
+    """Return whether machine code of the function that numba has `made` is on disk for these types."""
+    kept = _kept_code(made)
+    if kept is None:
+        return False
+    codegen = made.targetctx.codegen()
+    key = made._cache._index_key(arguments, codegen)  # noqa: SLF001 - numba has no door to it
+    return bool(key in kept._load_index())  # noqa: SLF001
+
+
 def is_kept(function: Any) -> bool:
     """Return whether machine code of the `compiled` function is on disk."""
     kept = _kept_code(function)
@@ -98,19 +108,3 @@ def is_kept(function: Any) -> bool:
 def compile_for(function: Any, *arguments: object) -> None:
     """Compile the `compiled` function for arguments of the types of `arguments`, without calling it."""
     function.compile(tuple(map(numba.typeof, arguments)))
-
-
-def share_versions(made: Any) -> None:
-    """Compile one version for all integers passed by compiled code: each constant would get one."""
-    find = made.get_call_template
-
-    def find_general(args: Any, keywords: Any) -> Any:
-        return find(tuple(map(_general, args)), {name: _general(kind) for name, kind in keywords.items()})
-
-    made.get_call_template = find_general
-
-
-def _general(kind: Any) -> Any:
-    """Return the numba type that an argument of the type `kind` is passed as: an integer as int64."""
-    is_integer = isinstance(kind, types.Integer | types.IntEnumMember) and kind != types.uint64
-    return types.int64 if is_integer else kind

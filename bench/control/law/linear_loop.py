@@ -71,7 +71,8 @@ def _set_rates(robot: Any, p: Any, motion: Any, supply: float, opening: Any, air
     """
     angle, speed = motion[:3], motion[3:6]
     r = robot[0]
-    air[0, 6:12] = motion[6:]
+    for k in range(6):  # an assignment to a slice would take numba seconds
+        air[0, 6 + k] = motion[6 + k]
     air[0, 12] = supply
     forces = air[0, :3]
     for i in range(3):
@@ -81,11 +82,13 @@ def _set_rates(robot: Any, p: Any, motion: Any, supply: float, opening: Any, air
         force, _ = chambers(p, i, air[0], air[1], spool, position, moving, 0.0)
         forces[i] = force - p.viscous[i] * moving
     wrist = forces[2] * p.lever_cos * cos(angle[2]) - forces[2] * p.lever_sin * sin(angle[2])
-    rates[:3] = speed
     rates[3], rates[4], rates[5] = accelerations(
         r, angle[0], angle[1], angle[2], speed[0], speed[1], speed[2], forces[0], forces[1], wrist
     )
-    rates[6:] = air[1, 6:12]
+    for i in range(3):
+        rates[i] = speed[i]
+    for k in range(6, _MOTION):
+        rates[k] = air[1, k]
 
 
 @compiled_with_arrays
@@ -102,14 +105,16 @@ def _set_slopes(
         shifted[k] = motion[k] - step
         _set_rates(robot, p, shifted, supply, opening, air, below)
         shifted[k] = motion[k]
-        by_motion[:, k] = (above - below) / (2.0 * step)
+        for row in range(_MOTION):
+            by_motion[row, k] = (above[row] - below[row]) / (2.0 * step)
     for i in range(3):
         opened[i] = opening[i] + _OPENED
         _set_rates(robot, p, motion, supply, opened, air, above)
         opened[i] = opening[i] - _OPENED
         _set_rates(robot, p, motion, supply, opened, air, below)
         opened[i] = opening[i]
-        by_spool[:, i] = (above - below) / (2.0 * _OPENED) / (1.0 - p.dead_band[i])
+        for row in range(_MOTION):
+            by_spool[row, i] = (above[row] - below[row]) / (2.0 * _OPENED) / (1.0 - p.dead_band[i])
 
 
 def at_rest(plant: Plant, angle: Array) -> OperatingPoint:

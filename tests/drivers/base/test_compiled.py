@@ -153,7 +153,7 @@ def _twice(number: int) -> int:
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 def test_compiled_calls_with_constants_and_enums_share_one_version() -> None:
     assert _sum(50) == 120
-    assert len(_twice.signatures) == 1  # type: ignore[attr-defined]
+    assert len(_twice.get_call_template.__self__._versions) == 1  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
