@@ -45,9 +45,10 @@ test-release: $(VENV)/.benchmark  ## before a release: repeated tests, mutation,
 	$(BIN)/python -m tests.benchmarks soak --minutes 60 || failed=$$?; \
 	$(MAKE) --no-print-directory test-vm || failed=$$?; exit $$failed
 
-# Compiled before, once: two workers would both compile it.
+# Compiled before, once: each worker would do it, machine code of the numerics as well as bytecode of the tests.
 compile: $(VENV)/.dev
 	@$(BIN)/python -m tests.vm.compile_all
+	@$(BIN)/python -m pytest --collect-only --quiet >/dev/null
 
 fast: $(VENV)/.dev coverage compile  ## the tests of `make test` alone (ARGS for pytest)
 	@$(BIN)/python -m pytest -m 'not slow and not live and not release' $(PARALLEL) $(ARGS)
