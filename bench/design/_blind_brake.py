@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bench.design._refine import Rehearsal, without_history
 from bench.simulation.safety import stop_shares
-from bench.simulation.simulated_bench import SimulatedBench
+from bench.simulation.simulated_bench import Bench
 from drivers.base.compiled import compiled
 from sim.plant import Plant, advance, build_plant
 
@@ -139,9 +139,7 @@ class _BlindSearch(NamedTuple):
         return found
 
 
-def design_blind_brake(
-    bench: SimulatedBench, start: Array | None, progress: Callable[[float], None]
-) -> Array:
+def design_blind_brake(bench: Bench, start: Array | None, progress: Callable[[float], None]) -> Array:
     """Return a pattern (6,) for each row of the bench's profile; `start` (m, 6): first patterns, or None.
 
     Raises:

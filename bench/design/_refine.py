@@ -43,7 +43,7 @@ from bench.control.law.gain_table import DAMPING, DERIVATIVE, PROPORTIONAL, gain
 from bench.control.moves.braking import brake_opening
 from bench.control.settings import ControlSettings
 from bench.simulation.safety import reset_peaks
-from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
+from bench.simulation.simulated_bench import Bench, PoweredBench
 from bench.swing.profile import Profile
 from drivers.base import PASSIVE
 from drivers.base.compiled import compiled, compiled_with_arrays, new_record
@@ -62,7 +62,7 @@ class LoopFailed(RuntimeError):
 class Rehearsal:
     """A profile under closed loop on the nominal plant, just as `simulate_swing` does it, tick by tick."""
 
-    def __init__(self, bench: SimulatedBench, *, ball: bool = True) -> None:
+    def __init__(self, bench: Bench, *, ball: bool = True) -> None:
         """Arm the vented bench, hold, and begin the swing with the bench's profile.
 
         Raises:
@@ -104,7 +104,7 @@ class Rehearsal:
             raise LoopFailed(f"the rehearsal stopped: {CAUSE_TEXT[cause]}")
 
 
-def imprint(bench: SimulatedBench, opening: Array) -> Profile:
+def imprint(bench: Bench, opening: Array) -> Profile:
     """Return the bench's profile with references and feed-forward that make the loop apply `opening` (n, 3).
 
     The valve commands `opening` begin where the phase DOWNSWING does and end where FOLLOW_THROUGH begins.
@@ -162,7 +162,7 @@ def _silent_velocity(
     return away
 
 
-def with_follow_through(bench: SimulatedBench) -> tuple[Profile, NDArray[Any]]:
+def with_follow_through(bench: Bench) -> tuple[Profile, NDArray[Any]]:
     """Return the bench's profile with the braking law's follow-through, and the plant's last state.
 
     Raises:
@@ -522,7 +522,7 @@ class Backswing(NamedTuple):
     """Max error in following it, as a fraction of its limit."""
 
 
-def learned_backswing(bench: SimulatedBench, pid: NDArray[Any], ticks: int, highest: float) -> Backswing:
+def learned_backswing(bench: Bench, pid: NDArray[Any], ticks: int, highest: float) -> Backswing:
     """Return the way up in the first `ticks` of the bench's profile, as closely followed as is learned.
 
     `pid` is the PIDs' record, `highest` the max planned valve command.
@@ -548,7 +548,7 @@ def learned_backswing(bench: SimulatedBench, pid: NDArray[Any], ticks: int, high
     return best
 
 
-def _rehearsed(bench: SimulatedBench, ticks: int) -> Backswing:
+def _rehearsed(bench: Bench, ticks: int) -> Backswing:
     # A wrist that lags folds beyond the lever's limit: the learned swing is to keep it, not each rehearsal.
     free = replace(bench, envelope=replace(bench.envelope, min_lever=0.0))
     rehearsal = Rehearsal(free)
@@ -559,7 +559,7 @@ def _rehearsed(bench: SimulatedBench, ticks: int) -> Backswing:
     return Backswing(bench.profile, rehearsal, cycles, float(error.max()))
 
 
-def _terms(bench: SimulatedBench, pid: NDArray[Any], angle: Array) -> Array:
+def _terms(bench: Bench, pid: NDArray[Any], angle: Array) -> Array:
     """Return valve commands (4, n, 3) per rad, rad/s, rad/s2, rad/s3 of error, along `angle` (n, 3) rad."""
     plant, gains = build_plant(bench.plant), gains_along(pid, angle)
     at = np.arange(len(angle))
@@ -579,7 +579,7 @@ def _terms(bench: SimulatedBench, pid: NDArray[Any], angle: Array) -> Array:
     )
 
 
-def _missing(bench: SimulatedBench, terms: Array, cycles: NDArray[Any]) -> Array:
+def _missing(bench: Bench, terms: Array, cycles: NDArray[Any]) -> Array:
     """Return the valve commands (n, 3) that would have undone the errors in `cycles`."""
     from scipy.signal import savgol_filter  # here, for it takes long to import
 

@@ -58,7 +58,7 @@ from bench.design.optimal_control import (
 )
 from bench.design.static_checks import profile_faults
 from bench.simulation.safety import stop_shares
-from bench.simulation.simulated_bench import SimulatedBench
+from bench.simulation.simulated_bench import Bench
 from bench.swing.profile import Profile, as_written
 from sim.impact import in_plane_error
 from sim.kinematics import head_motion, inverse_kinematics, theta2_from_right_arm
@@ -331,7 +331,7 @@ class SwingDesigner:
     """Steps of the design of one swing, from the state of the plant at the top of its backswing."""
 
     def __init__(
-        self, bench: SimulatedBench, demand: SwingDemand, progress: Progress = lambda what, part: None
+        self, bench: Bench, demand: SwingDemand, progress: Progress = lambda what, part: None
     ) -> None:
         """Take the plant of `bench` to the top; DesignFailed if it does not come there."""
         self.bench, self.demand, self.progress = bench, demand, progress
@@ -601,8 +601,8 @@ def design_swing(
     return profile
 
 
-def _bench(configuration: Configuration, name: str = "", golfer: str = "") -> SimulatedBench:
+def _bench(configuration: Configuration, name: str = "", golfer: str = "") -> Bench:
     """Return the bench for the rehearsals, still with an empty profile; there are no limits of it yet."""
     c = configuration
     nothing = replace(_sketch(SwingDemand(), c.plant, np.zeros(3), np.zeros(3)), name=name, golfer=golfer)
-    return SimulatedBench(nothing, c.plant, c.control, c.envelope.with_model_check("off"), c.estimator)
+    return Bench.of(replace(c, envelope=c.envelope.with_model_check("off")), nothing)

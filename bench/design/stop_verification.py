@@ -17,14 +17,13 @@ import numpy as np
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Request
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.simulated_bench import Bench
 from bench.simulation.swing_operator import LockstepEngine
-from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.faults import Fault, own_records
-from sim.plant import Plant, PlantParameters, build_plant
+from sim.plant import build_plant
 
 _LONG_STILL = 1.5
 """Standstill after which a trial ends, s."""
@@ -97,21 +96,13 @@ class TrialOutcome:
 
 
 class SwingCheck:
-    """A plant, a profile and settings, checked fault by fault."""
+    """A bench on its plant, checked fault by fault."""
 
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        profile: Profile,
-        control: ControlSettings | None = None,
-        envelope: EnvelopeSettings | None = None,
-        estimator: EstimatorSettings | None = None,
-    ) -> None:
+    def __init__(self, bench: Bench) -> None:
         """Build plant and controller; nothing runs yet."""
-        self.plant: Plant = build_plant(parameters)
-        self.profile = profile
-        self.parameters = build_controller(parameters, profile, control, envelope, estimator)
-        self.watched = round(_WATCHED / parameters.tick)
+        self.plant, self.parameters = build_plant(bench.plant), bench.controller()
+        self.profile = bench.profile
+        self.watched = round(_WATCHED / bench.plant.tick)
 
     def _bases(self, ticks: Sequence[int], *, ball: bool) -> Iterator[tuple[int, LockstepEngine]]:
         """Yield the bench at rising `ticks` of a nominal swing, which runs to its end: (tick, bench)."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi, sqrt
 
 import numpy as np
@@ -26,7 +26,7 @@ from bench.control.residual_thresholds import (
     LimitTables,
     ModelLimits,
 )
-from bench.control.settings import MODEL_ROWS, ModelSettings, Triple, build_controller, with_tables_of
+from bench.control.settings import MODEL_ROWS, ModelSettings, Triple, with_tables_of
 from bench.control.step_records import ControlParameters
 from bench.simulation.plant_variation import HealthyRun, healthy_plant, healthy_run, unknown_plant
 from bench.simulation.simulated_bench import Bench
@@ -111,7 +111,7 @@ def make_limits(
     return ModelLimits(
         bench.profile.name,
         draws,
-        LimitsFingerprint.of(bench.profile, bench.model, bench.control, bench.envelope, bench.estimator),
+        LimitsFingerprint.of(bench.profile, bench.plant, bench.control, bench.envelope, bench.estimator),
         {kind: {**tables[kind], **learning[kind]} for kind in KINDS},
     )
 
@@ -128,14 +128,13 @@ class DrawnRobots:
     def prepared(self) -> Callable[[int], HealthyRun | None]:
         """Return the function of a seed; None for a robot that does not reach its address."""
         bench, drawn = self.bench, unknown_plant if self.unknown else healthy_plant
-        envelope = bench.envelope.with_model_check("always")
-        parameters = build_controller(bench.model, bench.profile, bench.control, envelope, bench.estimator)
+        parameters = replace(bench, envelope=bench.envelope.with_model_check("always")).controller()
         for kind in KINDS:  # its check only observes
             parameters.model[kind] = np.inf
 
         def run(seed: int) -> HealthyRun | None:
             swung = _with_drawn_correction(bench, parameters, seed) if self.unknown else parameters
-            like = measured_as(bench.model, bench.envelope.model.standard_errors, seed)
+            like = measured_as(bench.plant, bench.envelope.model.standard_errors, seed)
             return healthy_run(drawn(like, seed), swung, bench.profile, seed)
 
         return run
@@ -164,7 +163,7 @@ def _with_drawn_correction(bench: Bench, parameters: ControlParameters, seed: in
     weights = random.standard_normal(basis.size)
     weights *= _MAX_CORRECTION * random.uniform() / np.linalg.norm(weights)
     return with_tables_of(
-        parameters, basis.corrected(bench.profile, weights.tolist()), bench.control, bench.model
+        parameters, basis.corrected(bench.profile, weights.tolist()), bench.control, bench.plant
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Request, State
 from bench.config import Configuration
-from bench.control.settings import SIMULATED, build_controller, holding_pressure
+from bench.control.settings import SIMULATED, holding_pressure
 from bench.control.step_records import ControlParameters, new_control_state
 from bench.faults._case_run import Watch, WatchedRun, next_swing
 from bench.faults._verdict import CaseLimits, CaseOutcome, judge_case
@@ -36,6 +36,7 @@ from bench.faults.catalogue import (
 )
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import SafetyLimits
+from bench.simulation.simulated_bench import Bench
 from bench.simulation.sweep import Engine, SweepStore, code_digest, sweep
 from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
@@ -67,19 +68,17 @@ class Workbench:
     ) -> None:
         """Build plant and controllers; `model_check` overrides the configuration."""
         c = configuration
-        self.profile, self.configuration = profile, c
-        self.envelope = c.envelope
         if model_check is not None:
-            self.envelope = c.envelope.with_model_check("always" if model_check else "off")
+            c = replace(c, envelope=c.envelope.with_model_check("always" if model_check else "off"))
+        self.profile, self.configuration, self._bench = profile, c, Bench.of(c, profile)
         self.plant: Plant = build_plant(c.plant)
-        lifecycle = replace(
+        self._lifecycle = replace(
             c.lifecycle, warning_time=SIMULATED.warning_time, hold_between_swings=True, local_reset=True
         )
-        self.parameters = build_controller(c.plant, profile, c.control, self.envelope, c.estimator, lifecycle)
+        self.parameters = self._bench.controller(self._lifecycle)
         self.period = c.plant.tick
         self._bases: dict[Instant, LockstepEngine] = {}
         self._ends: dict[tuple[Instant, Event, float], WatchedRun] = {}
-        self._lifecycle = lifecycle
 
     @cached_property
     def _homing(self) -> tuple[Plant, ControlParameters]:
@@ -91,18 +90,13 @@ class Workbench:
         encoders = replace(c.plant.encoders, incremental=True, zero_count=(a, b, c_))
         plant = replace(c.plant, encoders=encoders)
         homing = replace(c.homing, method="index")
-        return build_plant(plant), build_controller(
-            plant, self.profile, c.control, self.envelope, c.estimator, self._lifecycle, homing
-        )
+        return build_plant(plant), replace(self._bench, plant=plant).controller(self._lifecycle, homing)
 
     @cached_property
     def _absolute(self) -> tuple[Plant, ControlParameters]:
         """The machine of the shipped configuration, homed by its hanging pose."""
-        c = self.configuration
-        homing = replace(c.homing, method="absolute")
-        return self.plant, build_controller(
-            c.plant, self.profile, c.control, self.envelope, c.estimator, self._lifecycle, homing
-        )
+        homing = replace(self.configuration.homing, method="absolute")
+        return self.plant, self._bench.controller(self._lifecycle, homing)
 
     def base(self, instant: Instant) -> LockstepEngine:
         """Return the undisturbed bench at `instant`.
@@ -170,7 +164,7 @@ class Workbench:
         hold = Instant("hold", 0)
         runs = [self._healthy(hold, event) for event in _WITH_AND_WITHOUT_BALL]
         safety = SafetyLimits(
-            min_frame_distance=self.envelope.min_frame_distance,
+            min_frame_distance=self.configuration.envelope.min_frame_distance,
             access_pressure=1.01 * holding_pressure(self.configuration.plant),
         )
         return CaseLimits(self.period, safety, max(run.loads.peak_head_speed for run in runs))

@@ -53,7 +53,7 @@ def operating_points(bench: Bench) -> list[OperatingPoint]:
         BenchError: the swing is stopped.
         Refused: the robot does not reach its address.
     """
-    profile, plant = bench.profile, quiet(bench.model)
+    profile, plant = bench.profile, quiet(bench.plant)
     _, backswing, top, down, _, window, _ = profile.begins
     instants = {
         "address": 0,

@@ -78,7 +78,7 @@ def planned_figures(bench: Bench) -> Figures:
     Raises:
         BenchError: its file lacks it.
     """
-    delivery, lie = bench.profile.delivery, bench.model.robot.lie
+    delivery, lie = bench.profile.delivery, bench.plant.robot.lie
     wanted = ("in_plane_error_mm", "head_speed_mps", "shaft_lean_deg", "path_slope_deg")
     missing = [key for key in wanted if key not in delivery]
     if missing:

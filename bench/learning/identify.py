@@ -127,7 +127,7 @@ def variation_of(values: Array, bench: Bench) -> Variation:
     """Return the robot with `values` in the order of NAMES as a variation of the bench's model."""
     f = values.tolist()
     # The head's mass for the club's inertia about the wrist, linearised.
-    club = bench.model.robot.club
+    club = bench.plant.robot.club
     heavier = replace(club, head_mass=1.1 * club.head_mass)
     nominal, more = (one.inertia + one.mass * one.centre_of_mass**2 for one in (club, heavier))
     slope = more / nominal - 1.0
@@ -163,7 +163,7 @@ def identify(
         every = np.ones(len(NAMES))
         every[free] = factors
         # The added latency has no nominal value to scale.
-        every[-1] = max(_LATENCY * (every[-1] - 1.0), -1e3 * bench.model.encoders.latency)
+        every[-1] = max(_LATENCY * (every[-1] - 1.0), -1e3 * bench.plant.encoders.latency)
         return every
 
     def residual(factors: Array) -> Array:
@@ -192,7 +192,7 @@ def identify(
     found = searched(start)
     if np.linalg.norm(found.fun[: -len(free)]) > _POOR:
         # The search may have ended at a supply too weak to swing: start from the measured one.
-        supply = np.mean([cycles["supply_pressure"][0] for cycles in observed]) / bench.model.supply.pressure
+        supply = np.mean([cycles["supply_pressure"][0] for cycles in observed]) / bench.plant.supply.pressure
         start[free == NAMES.index("supply pressure")] = np.clip(supply, *_SUPPLY_START)
         found = min(found, searched(start), key=lambda one: float(one.cost))
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
@@ -216,7 +216,7 @@ def _seen(profile: Profile, cycles: Cycles) -> Array:
 
 def _errors(bench: Bench, values: Array, seen: Array) -> Array:
     """Return the error of the simulated swings against `seen`; bounded, large without a swing."""
-    plant = quiet(variation_of(values, bench).applied_to(bench.model))
+    plant = quiet(variation_of(values, bench).applied_to(bench.plant))
     known = np.isfinite(seen)
     try:
         series = Series(bench, plant)

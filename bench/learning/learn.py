@@ -97,7 +97,7 @@ def model_response(
         BenchError: the modelled swing is stopped or misses the ball.
         Refused: the model does not reach its address.
     """
-    profile, series = bench.profile, Series(bench, quiet(bench.model))
+    profile, series = bench.profile, Series(bench, quiet(bench.plant))
     series.settle()
     ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
     rows = np.arange(profile.begins[3], profile.begins[5], round(PATH_SPACING / profile.period))
@@ -389,7 +389,7 @@ def on_series(problem: LearningProblem, series: Series) -> Swinger:
 
     def swing(weights: Array) -> ObservedSwing:
         made = series.swing(problem.basis.correction(weights).applied_to(bench.profile))
-        delivery = None if made.cause else delivery_from_encoders(made.cycles, bench.model, free)
+        delivery = None if made.cause else delivery_from_encoders(made.cycles, bench.plant, free)
         return ObservedSwing(made.cycles, figures_of(delivery), made.cause, made.settled)
 
     return swing

@@ -118,7 +118,7 @@ class LiveSwinger:
             return ObservedSwing(cycles, UNKNOWN, cause), False
         # Calibration from the record; masses and friction from the model.
         encoders = plant_of(metadata, str(record.path))[0].encoders
-        plant = replace(self._problem.bench.model, encoders=encoders)
+        plant = replace(self._problem.bench.plant, encoders=encoders)
         mark = self._ask_mark() if self._source == "impact-marks" else None
         speed, attack = self._monitored(record) if self._source == "launch-monitor" else (None, None)
         free = self._problem.response.free

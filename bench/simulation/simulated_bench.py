@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from bench.control.settings import (
     EnvelopeSettings,
     EstimatorSettings,
     HomingSettings,
+    LifecycleSettings,
     build_controller,
     for_learning,
     with_tables_of,
@@ -118,17 +119,40 @@ class SwingResult:
 
 
 @dataclass(frozen=True)
-class SimulatedBench:
-    """Plant, profile and settings of a simulated bench; the defaults belong to the default plant."""
+class Bench:
+    """A bench without its robot: profile, plant as believed, and settings; the defaults belong together."""
 
     profile: Profile
     plant: PlantParameters = field(default_factory=PlantParameters)
+    """Controller and envelope are built from it; a robot that swings may differ."""
     control: ControlSettings = field(default_factory=ControlSettings)
     envelope: EnvelopeSettings = field(default_factory=EnvelopeSettings)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     surroundings: FlightConditions = field(default_factory=FlightConditions)
     hold: float = 0.3
-    """Time at address before each swing, s."""
+    """Time at address before each swing of `PoweredBench`, s."""
+    as_known: bool = False
+    """Whether the robot is the plant within its tolerances, swung as planned: limits of known robots hold."""
+
+    @classmethod
+    def of(cls, c: Configuration, profile: Profile) -> Self:
+        """Return the bench of configuration `c` for `profile`."""
+        around = FlightConditions(c.air, c.wind, c.turf)
+        return cls(profile, c.plant, c.control, c.envelope, c.estimator, around)
+
+    def controller(
+        self, lifecycle: LifecycleSettings = SIMULATED, homing: HomingSettings | None = None
+    ) -> ControlParameters:
+        """Return the parameter records of the control step."""
+        settings = self.control, self.envelope, self.estimator, lifecycle, homing
+        return build_controller(self.plant, self.profile, *settings)
+
+    def series_controller(
+        self, lifecycle: LifecycleSettings = SIMULATED, homing: HomingSettings | None = None
+    ) -> ControlParameters:
+        """Return the same for a series, with the limits of learning unless the robot is as known."""
+        made = self.controller(lifecycle, homing)
+        return made if self.as_known else for_learning(made, self.envelope.model)
 
     def metadata(self, swing: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the metadata of a record: configuration, versions, seed, profile, and `swing`."""
@@ -144,7 +168,7 @@ class SimulatedBench:
         }
 
 
-def simulate_swing(bench: SimulatedBench, *, stop: Callable[[], bool] = never) -> SwingResult:
+def simulate_swing(bench: Bench, *, stop: Callable[[], bool] = never) -> SwingResult:
     """Arm a vented `bench`, swing once at the plant's ball and return the result.
 
     When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true, the stopping table brings the
@@ -171,15 +195,11 @@ def simulate_swing(bench: SimulatedBench, *, stop: Callable[[], bool] = never) -
 class PoweredBench:
     """A simulated bench while it is switched on."""
 
-    def __init__(self, bench: SimulatedBench, stop: Callable[[], bool] = never) -> None:
+    def __init__(self, bench: Bench, stop: Callable[[], bool] = never) -> None:
         """Stand vented in the hanging pose."""
         self.bench = bench
-        plant = build_plant(bench.plant)
-        parameters = build_controller(
-            bench.plant, bench.profile, bench.control, bench.envelope, bench.estimator
-        )
         self.engine = LockstepEngine(
-            Lockstep(plant, parameters, hanging_pose(bench.plant)),
+            Lockstep(build_plant(bench.plant), bench.controller(), hanging_pose(bench.plant)),
             look=round(_LOOK / bench.plant.tick),
             stop=stop,
             name=bench.profile.name,
@@ -259,7 +279,7 @@ class ArmedBench(PoweredBench):
     continues with the same results.
     """
 
-    def __init__(self, bench: SimulatedBench, stop: Callable[[], bool] = never) -> None:
+    def __init__(self, bench: Bench, stop: Callable[[], bool] = never) -> None:
         """Arm `bench`.
 
         Raises:
@@ -361,44 +381,17 @@ def return_failed(refused: Refused, swing: SeriesSwing) -> ReturnFailed:
     return error
 
 
-class Bench(NamedTuple):
-    """Model, profile and settings of a series, without its plant."""
-
-    model: PlantParameters
-    """The plant as the bench believes it to be: controller and envelope are built from it."""
-    profile: Profile
-    control: ControlSettings = ControlSettings()
-    envelope: EnvelopeSettings = EnvelopeSettings()
-    estimator: EstimatorSettings = EstimatorSettings()
-    as_known: bool = False
-    """Whether the robot is the model within its tolerances, swung as planned: limits of known robots hold."""
-
-    @classmethod
-    def of(cls, c: Configuration, profile: Profile) -> Bench:
-        """Return the bench of configuration `c` for `profile`."""
-        return cls(c.plant, profile, c.control, c.envelope, c.estimator)
-
-    def controller(self) -> ControlParameters:
-        """Return the parameter records of the control step."""
-        made = build_controller(self.model, self.profile, self.control, self.envelope, self.estimator)
-        return self.with_its_limits(made)
-
-    def with_its_limits(self, made: ControlParameters) -> ControlParameters:
-        """Return the controller `made` with the limits of learning, unless the robot is as known."""
-        return made if self.as_known else for_learning(made, self.envelope.model)
-
-
 class Series:
     """A simulated bench that swings repeatedly; the profile's tables may differ from swing to swing."""
 
     def __init__(self, bench: Bench, plant: PlantParameters, faults: tuple[Fault, ...] = ()) -> None:
-        """Arm `bench` on `plant`, which may differ from the bench's model, with `faults`.
+        """Arm `bench` on `plant`, which may differ from the bench's own, with `faults`.
 
         Raises:
             Refused: the robot does not reach its address.
         """
         self.bench, self._parameters = bench, plant
-        stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0], faults)
+        stepper = Lockstep(build_plant(plant), bench.series_controller(), bench.profile.angle[0], faults)
         self._engine = LockstepEngine(stepper, name=bench.profile.name)
         self._arm()
 
@@ -482,7 +475,7 @@ class Series:
     ) -> SeriesSwing:
         """Swing for `ticks`, from the accepted request on by the controller `other` if there is one."""
         engine, stepper, bench = self._engine, self._engine.stepper, self.bench
-        stepper.parameters = with_tables_of(stepper.parameters, profile, bench.control, bench.model)
+        stepper.parameters = with_tables_of(stepper.parameters, profile, bench.control, bench.plant)
         engine.begin_record()
         engine.await_air()  # a joint that breaks away may take the club to the ball
         engine.tee_up(ball=ball)
@@ -490,13 +483,13 @@ class Series:
         if not engine.start_swing(_REQUESTS, _CHUNK):
             raise engine.refusal("the robot does not come to rest there")
         if other is not None:  # not before: the address is held, and its air awaited, by the bench's own
-            stepper.parameters = with_tables_of(other, profile, bench.control, bench.model)
+            stepper.parameters = with_tables_of(other, profile, bench.control, bench.plant)
         cycles = joined([engine.latest, engine.advance(ticks - 1)])
-        contact, site = contact_in(engine.plant_state), self.bench.model.site
+        contact, site = contact_in(engine.plant_state), self.bench.plant.site
         delivery, time = None, float("nan")
         if contact is not None:
             time = contact.time - float(cycles["time"][0])
-            delivery = contact.delivery(self.bench.model.robot, (site.ball_x, site.ball_y))
+            delivery = contact.delivery(self.bench.plant.robot, (site.ball_x, site.ball_y))
         used = float(engine.plant_state["air_used"][0]) - before
         settled, self._settled = self._settled, True
         return SeriesSwing(cycles, delivery, time, engine.cause, used, settled)

@@ -87,7 +87,7 @@ class LearningDraws:
         """Return the function of a seed."""
 
         def taught(seed: int) -> Outcome | str:
-            variation = drawn(seed, self.problem.bench.model)
+            variation = drawn(seed, self.problem.bench.plant)
             try:
                 return _taught(self.problem, f"seed {seed}", variation)[0]
             except Refused as refusal:  # after a stop it did not come back: this robot learned nothing
@@ -106,7 +106,7 @@ def run(arguments: list[str]) -> list[Row]:
     file = find_profile(shipped.swing.profile)
     profile = load_profile(file)
     c = configuration = shipped.for_profile(profile, file)
-    problem = prepare(Bench(c.plant, profile, c.control, c.envelope, c.estimator))
+    problem = prepare(Bench.of(c, profile))
     worn, result, series = _taught(problem, "worn", WORN)
     print(worn.text, flush=True)
     seeds = range(1, options.draws + 1)
@@ -140,7 +140,7 @@ _UNITS = ("2 mm", "0.3 %", "0.3°", "0.3°")
 def _taught(
     problem: LearningProblem, robot: str, variation: Variation
 ) -> tuple[Outcome, LearningResult, Series]:
-    plant = variation.applied_to(problem.bench.model)
+    plant = variation.applied_to(problem.bench.plant)
     series = Series(problem.bench, plant)
     result = learn(problem, on_series(problem, series))
     swing, scale = result.correction.applied_to(problem.bench.profile), Tolerance().scale(problem.target)
@@ -161,7 +161,7 @@ def _repeated(problem: LearningProblem, result: LearningResult, plant: PlantPara
     """Return how far many swings with noise are off the target (n, 4), in tolerances."""
     noisy = replace(plant, encoders=replace(plant.encoders, noise=ENCODER_NOISE))
     estimator = replace(problem.bench.estimator, noise=(ENCODER_NOISE,) * 3)
-    series = Series(problem.bench._replace(estimator=estimator), noisy)
+    series = Series(replace(problem.bench, estimator=estimator), noisy)
     swing, random = result.correction.applied_to(problem.bench.profile), np.random.default_rng(1)
     series.swing(swing)
     figures = []

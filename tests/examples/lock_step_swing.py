@@ -10,7 +10,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
+from bench.simulation.simulated_bench import Bench, simulate_swing
 from bench.swing.actuator_motion import head_speed
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -18,7 +18,7 @@ from bench.swing.profile import load_profile
 
 def main(picture: Path) -> None:
     """Write the plot of a swing of the profile "default" to `picture`."""
-    bench = SimulatedBench(load_profile(find_profile("default")))
+    bench = Bench(load_profile(find_profile("default")))
     cycles = simulate_swing(bench).cycles
     axes = (figure := Figure(layout="constrained")).subplots()
     estimated = head_speed(bench.plant.robot, cycles["angle"], cycles["velocity"])

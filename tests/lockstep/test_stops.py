@@ -14,6 +14,7 @@ from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Request
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.design.stop_verification import TRIALS, SwingCheck, TrialOutcome
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.simulated_bench import Bench
 from bench.simulation.swing_operator import SETTLING_TIMEOUT, LockstepEngine
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
@@ -32,7 +33,7 @@ StoppedAt = Callable[[str], list[TrialOutcome]]
 @pytest.fixture(scope="module")
 def stopped(default_profile: Profile) -> StoppedAt:
     """Return how a fault, by its name, ends from each instant."""
-    check = SwingCheck(PlantParameters(), default_profile)
+    check = SwingCheck(Bench(default_profile))
     return lambda name: check.outcomes((TRIAL[name],), SPACING)
 
 
@@ -94,7 +95,7 @@ def test_swing_check_raised_ground_ends_safe(stopped: StoppedAt, height: str) ->
 @pytest.mark.parametrize("joint", release_except({"arm"}, ["shoulder", "arm", "wrist"]))
 def test_swing_check_model_based_detection_stays_within_ratings(default_profile: Profile, joint: str) -> None:
     watching = EnvelopeSettings(model=ModelSettings(check="always"))
-    check = SwingCheck(PlantParameters(), default_profile, envelope=watching)
+    check = SwingCheck(Bench(default_profile, envelope=watching))
     outcomes = check.outcomes((TRIAL[f"{joint} valve stuck shut"],), SPACING)
     assert max(outcome.stop_share for outcome in outcomes) <= 1.0
     assert max(outcome.pressure_share for outcome in outcomes) <= 1.0

@@ -19,7 +19,7 @@ from bench.base.lifecycle import Phase, Reaction
 from bench.records.telemetry.record_file import write_swing
 from bench.records.telemetry.swing_metadata import since
 from bench.simulation.replay import MEASURED
-from bench.simulation.simulated_bench import SimulatedBench, SwingResult, simulate_swing
+from bench.simulation.simulated_bench import Bench, SwingResult, simulate_swing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 
@@ -37,14 +37,14 @@ _UNDER_WAY = 400
 """Ticks of the backswing after which it is under way."""
 
 
-def reference_bench() -> SimulatedBench:
+def reference_bench() -> Bench:
     """Return the bench that swings: noise on its encoders, so that the estimator has work to do."""
-    bench = SimulatedBench(load_profile(find_profile("default")), hold=0.1)
+    bench = Bench(load_profile(find_profile("default")), hold=0.1)
     encoders = replace(bench.plant.encoders, noise=5e-6, jitter=2e-6)
     return replace(bench, plant=replace(bench.plant, encoders=encoders))
 
 
-def stopped_in_the_backswing(bench: SimulatedBench) -> SwingResult | None:
+def stopped_in_the_backswing(bench: Bench) -> SwingResult | None:
     """Return a swing of `bench` that Ctrl-C stops in its backswing; None if it never comes there."""
     for looks in _LOOKS_BEFORE_STOP:
         left = iter([False] * looks)
@@ -55,7 +55,7 @@ def stopped_in_the_backswing(bench: SimulatedBench) -> SwingResult | None:
     return None
 
 
-def write_reference(path: Path, bench: SimulatedBench, result: SwingResult, ticks: int | None = None) -> None:
+def write_reference(path: Path, bench: Bench, result: SwingResult, ticks: int | None = None) -> None:
     """Write the first `ticks` cycles of `result` (all without) and the data for a replay."""
     cycles = since(result.cycles[:ticks], 0.0)  # a copy
     for name in MEASURED:

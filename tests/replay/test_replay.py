@@ -27,7 +27,7 @@ from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.records.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles
-from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
+from bench.simulation.simulated_bench import Bench, PoweredBench
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver
@@ -148,7 +148,7 @@ def test_replay_changed_controller_shows_difference(name: str, monkeypatch: pyte
 class Faulty(SimDriver):
     """The software plant, whose readings fail or miss encoders at some times; it may turn passive itself."""
 
-    def __init__(self, bench: SimulatedBench, failing: range, invalid: range, passive: range) -> None:
+    def __init__(self, bench: Bench, failing: range, invalid: range, passive: range) -> None:
         super().__init__(bench.plant)
         self.count, self.failing, self.invalid, self.passive = 0, failing, invalid, passive
 

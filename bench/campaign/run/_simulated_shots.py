@@ -30,7 +30,7 @@ from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_matcher import UNREPORTED
 from bench.simulation.plant_variation import Variation
-from bench.simulation.simulated_bench import ArmedBench, Series, SimulatedBench, SwingResult
+from bench.simulation.simulated_bench import ArmedBench, Bench, Series, SwingResult
 from bench.swing.library import find_profile
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
@@ -243,8 +243,7 @@ class SimulatedShots(ShotSource):
             c = replace(self._configuration, plant=plant).for_profile(
                 self._swings.designed((swing, club)), file
             )
-            around = FlightConditions(c.air, c.wind, c.turf)
-            bench = SimulatedBench(profile, self._nominal(club), c.control, c.envelope, c.estimator, around)
+            bench = replace(Bench.of(c, profile), plant=self._nominal(club))
             series = {
                 "campaign": self._plan.campaign.name,
                 "digest": self._plan.digest,

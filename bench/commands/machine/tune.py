@@ -70,9 +70,9 @@ def _linearised(bench: Bench) -> tuple[list[LinearPlant], Estimator]:
     from bench.learning.along_swing import operating_points
     from sim.plant import build_plant
 
-    plant = build_plant(bench.model)
-    filters = estimator_record(bench.estimator, bench.model)
-    estimator = steady_estimator(filters, bench.model.tick, bench.model.encoders.latency)
+    plant = build_plant(bench.plant)
+    filters = estimator_record(bench.estimator, bench.plant)
+    estimator = steady_estimator(filters, bench.plant.tick, bench.plant.encoders.latency)
     return [linearize(plant, point) for point in operating_points(bench)], estimator
 
 
@@ -84,15 +84,15 @@ def _machine(bench: Bench) -> MachineGains | None:
     control = bench.control
     if control.gains != "machine":
         return None
-    filters = estimator_record(bench.estimator, bench.model)
-    return machine_gains(bench.model, filters, control.address_tolerance, control.move_timeout)
+    filters = estimator_record(bench.estimator, bench.plant)
+    return machine_gains(bench.plant, filters, control.address_tolerance, control.move_timeout)
 
 
 def _proofs(bench: Bench, bar: Progress) -> dict[str, ValidationSwing]:
     from bench.learning.along_swing import proof
     from bench.simulation.plant_variation import WORN
 
-    robots = {"nominal": bench.model, "worn": WORN.applied_to(bench.model)}
+    robots = {"nominal": bench.plant, "worn": WORN.applied_to(bench.plant)}
     return {
         name: proof(bench, truth) for name, truth in bar.track(robots.items(), description="whole swings")
     }

@@ -237,7 +237,7 @@ def identify(
     with progress_of("simulated robots") as show:
         found = identified(bench, swings, progress=show)
     if output is not None:
-        robot = variation_of(found.values, bench).applied_to(bench.model)
+        robot = variation_of(found.values, bench).applied_to(bench.plant)
         write_plant_file(output, robot, found, configuration)
     columns = NAMES, found.values.tolist(), found.error.tolist(), found.known.tolist()
     fields, figures = ("name", "value", "standard_error", "identified"), ("value", "standard error")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -98,9 +98,8 @@ def simulate(
 
     Exits with 1 if the shot is invalid.
     """
-    from bench.records.shot.recorded_shot import FlightConditions
     from bench.records.telemetry.record_file import write_swing
-    from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
+    from bench.simulation.simulated_bench import Bench, simulate_swing
     from bench.supervisor.readiness import assess_bench
 
     configuration = context.ensure_object(Session).configuration()
@@ -110,10 +109,7 @@ def simulate(
     ready.require_possible()
     swing, configuration = ready.profile, ready.configuration
     plant = configuration.plant_with(ball=ball)
-    around = FlightConditions(configuration.air, configuration.wind, configuration.turf)
-    bench = SimulatedBench(
-        swing, plant, configuration.control, configuration.envelope, configuration.estimator, around
-    )
+    bench = Bench.of(replace(configuration, plant=plant), swing)
     waiting = nullcontext() if json_ else Console().status(f"swinging {swing.name}")
     with deferred_interrupt() as asked, waiting:
         result = simulate_swing(bench, stop=asked.is_made)
@@ -140,17 +136,16 @@ def check(
     against the ratings of end stops and chambers. Exits with 1 if any of them ends unsafe.
     """
     from bench.design.stop_verification import SwingCheck, summarise
+    from bench.simulation.simulated_bench import Bench
     from bench.supervisor.readiness import assess_bench
 
     configuration = context.ensure_object(Session).configuration()
     ready = assess_bench(configuration, datetime.now(UTC), profile, club=club)
     ready.require_possible()
     swing, configuration = ready.profile, ready.configuration
-    bench = SwingCheck(
-        configuration.plant, swing, configuration.control, configuration.envelope, configuration.estimator
-    )
+    checked = SwingCheck(Bench.of(configuration, swing))
     with progress_of(f"checking {swing.name}") as part:
-        outcomes = bench.outcomes(spacing=spacing, progress=part)
+        outcomes = checked.outcomes(spacing=spacing, progress=part)
     summaries = summarise(outcomes)
     shown = swing.name, outcomes, summaries
     show_result(json_, check_record(*shown), check_table(*shown))
@@ -190,7 +185,7 @@ def limits(
     swing, path, plant = ready.profile, ready.file, ready.configuration.plant
     beside, stored = c.limits_files(path)
     file = output or (stored if path.parent == PROFILES else beside)
-    bench = Bench(plant, swing, c.control, c.envelope, c.estimator)
+    bench = Bench.of(replace(c, plant=plant), swing)
     with sweep_engine(c, processes, cluster, draws) as engine, progress_of(f"swinging {swing.name}") as part:
         made = make_limits(bench, draws, part, engine)
     file.parent.mkdir(parents=True, exist_ok=True)

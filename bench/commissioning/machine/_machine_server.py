@@ -24,7 +24,7 @@ from bench.commissioning.machine.driver_machine import (
     stopped_by_person,
 )
 from bench.config import Configuration
-from bench.control.settings import build_controller, with_tables_of
+from bench.control.settings import with_tables_of
 from bench.control.states import near_address
 from bench.learning.live import swung_cycles
 from bench.loop.loop import Cycles, Loop
@@ -95,18 +95,10 @@ class LiveSeries:
             Refused: it was stopped.
         """
         self.bench, self._driver, self._say = bench, driver, say
-        made = build_controller(
-            bench.model,
-            bench.profile,
-            bench.control,
-            bench.envelope,
-            bench.estimator,
-            replace(configuration.lifecycle, hold_between_swings=True),
-            configuration.homing,
-        )
+        lifecycle = replace(configuration.lifecycle, hold_between_swings=True)
         loop = Loop(
             driver,
-            bench.with_its_limits(made),
+            bench.series_controller(lifecycle, configuration.homing),
             clock,
             name=configuration.driver.name,
             note_truth=getattr(driver, "note_truth", None),
@@ -161,7 +153,7 @@ class LiveSeries:
             if not operator.holding():
                 self._arm()
             operator.advance(round(HOLD / operator.period))
-            loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
+            loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.plant)
             operator.await_air()  # a joint that breaks away may take the club to the ball
             try:
                 self._tee_up(ball=ball)

@@ -168,7 +168,7 @@ def with_following_limits(known: Configuration, profile: Profile) -> Configurati
     """
     free = replace(known.envelope.with_model_check("off"), max_following_error={})
     bench = Bench.of(replace(known, envelope=free), profile)
-    cycles = Series(bench, bench.model).swing(profile, ball=True).cycles
+    cycles = Series(bench, bench.plant).swing(profile, ball=True).cycles
     return replace(known, envelope=replace(known.envelope, max_following_error=_limits(known, cycles)))
 
 

@@ -119,7 +119,7 @@ def rising_swings(
         if designed is full:  # before the club comes at its full speed
             limited = make_healthy_limits(limited, full, folder / SWING_FILE, progress)
         progress(f"swing of {100 * share:.0f} %")
-        bench = bench_of(limited, designed)._replace(as_known=designed is full)
+        bench = replace(bench_of(limited, designed), as_known=designed is full)
         notes.append(_swung(arm, bench, share, folder))
     save_profile(folder / SWING_FILE, full)
     return StepResult((), tuple(notes))
@@ -222,7 +222,7 @@ def slow_swing(
 def _prediction_fails(bench: Bench, fastest: float) -> str:
     """Return why the prediction of `bench` is no slow swing, or nothing; `fastest` is in m/s."""
     try:
-        predicted = Series(bench, bench.model).swing(bench.profile, ball=False)
+        predicted = Series(bench, bench.plant).swing(bench.profile, ball=False)
     except Refused as refused:
         return refused.found
     if predicted.cause:
@@ -234,7 +234,7 @@ def _prediction_fails(bench: Bench, fastest: float) -> str:
 def _swung(arm: Arm, bench: Bench, share: float, folder: Path) -> str:
     """Swing `bench` once, and return the note on it; raises MachineFault if it is not as predicted."""
     ball, location = share >= DESIGNED_SHARES[0], f"swing of {100 * share:.0f} %"
-    model = Series(bench, bench.model)
+    model = Series(bench, bench.plant)
     predicted = [model.swing(bench.profile, ball=ball) for _ in range(_PREDICTIONS)]
     require_safe(model.loads(), f"prediction of the {location}", PredictionFails)
     whole = [one for one in predicted if not one.cause]
@@ -305,7 +305,7 @@ def _head_speed(bench: Bench, swing: SeriesSwing) -> float:
     """Return the head's highest speed (m/s) in the downswing, by the encoders."""
     rows = swing.cycles[bench.profile.begins[3] : bench.profile.begins[5]]
     moving = zip(rows["angle"].tolist(), rows["velocity"].tolist(), strict=True)
-    robot = bench.model.robot.record[0]
+    robot = bench.plant.robot.record[0]
     return max(float(np.hypot(*head_motion(robot, *angle, *speed)[3:5])) for angle, speed in moving)
 
 
@@ -436,7 +436,7 @@ class _Marks:
         delivery = (
             None
             if swung.cause
-            else delivery_from_encoders(swung.cycles, problem.bench.model, problem.response.free)
+            else delivery_from_encoders(swung.cycles, problem.bench.plant, problem.response.free)
         )
         found = figures_of(delivery)
         if delivery is None:
@@ -446,7 +446,7 @@ class _Marks:
             if mark is None:
                 self._read = False
             else:
-                beside = strike_from_mark(*mark, problem.bench.model) - found.strike
+                beside = strike_from_mark(*mark, problem.bench.plant) - found.strike
                 (self._beside if abs(beside) <= _FARTHEST else self._strange).append(beside)
         return self._moved(found)
 

@@ -9,6 +9,7 @@ misfit is much smaller than with any other cause and without one.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -398,8 +399,8 @@ class DiagnosedRobot:
         Raises:
             Refused: the robot is not armed; its last records are stored.
         """
-        watched = bench._replace(envelope=bench.envelope.with_model_check("always"))
-        self._model = bench.model
+        watched = replace(bench, envelope=bench.envelope.with_model_check("always"))
+        self._model = bench.plant
         try:
             self._series = self._arm(watched)
         except ArmingFailed as error:

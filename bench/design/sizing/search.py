@@ -253,7 +253,8 @@ def _judged(c: Configuration, profile: Profile, spacing: int) -> SizedSwing:
     Raises:
         Refused: the swing does not run.
     """
-    swing = Series(Bench.of(c, profile), c.plant).swing(profile)
+    bench = Bench.of(c, profile)
+    swing = Series(bench, c.plant).swing(profile)
     limits, delivery = profile.limits, profile.delivery
     found = SizedSwing(
         delivery["head_speed_mps"],
@@ -267,8 +268,7 @@ def _judged(c: Configuration, profile: Profile, spacing: int) -> SizedSwing:
     )
     if not spacing:
         return found
-    check = SwingCheck(c.plant, profile, c.control, c.envelope, c.estimator)
-    outcomes = check.outcomes(spacing=spacing)
+    outcomes = SwingCheck(bench).outcomes(spacing=spacing)
     unsafe = [outcome.fault for outcome in outcomes if outcome.unsafe]
     stuck = sum("stuck" in fault for fault in unsafe)
     return replace(found, cases=len(outcomes), unsafe=len(unsafe) - stuck, stuck_unsafe=stuck)

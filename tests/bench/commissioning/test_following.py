@@ -39,8 +39,8 @@ def test_with_following_limits_lagging_robot_widens_limits(
 
     def cause(c: Configuration) -> Cause:
         envelope = c.envelope.with_model_check("off")
-        bench = Bench(c.plant, default, c.control, envelope, c.estimator)
-        return Series(bench, bench.model).swing(default, ball=True).cause
+        bench = Bench.of(replace(c, envelope=envelope), default)
+        return Series(bench, bench.plant).swing(default, ball=True).cause
 
     assert cause(lagging) in {Cause.SHOULDER_FOLLOWING, Cause.ARM_FOLLOWING, Cause.WRIST_FOLLOWING}
     assert cause(wider) == Cause.NONE

@@ -245,7 +245,7 @@ def test_min_relevant_tee_shift_changes_velocity_within_third_of_limit(
 ) -> None:
     """The joints' speeds after the impact differ by less than a third of the comparison's tolerance."""
     c = load_configuration(Path("shipped")).for_profile(default_profile, find_profile("default"))
-    bench = Bench(c.plant, default_profile, c.control, c.envelope, c.estimator)
+    bench = Bench.of(c, default_profile)
     speeds = []
     for shift in (0.0, side * MIN_RELEVANT_TEE_SHIFT):
         club = replace(c.plant.robot.club, tee_shift=shift)

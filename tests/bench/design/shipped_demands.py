@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.config import Configuration, load_configuration
-from bench.simulation.simulated_bench import SimulatedBench
+from bench.simulation.simulated_bench import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 
@@ -67,9 +67,9 @@ def designed_for(name: str) -> Configuration:
     )
 
 
-def mounted(name: str) -> SimulatedBench:
+def mounted(name: str) -> Bench:
     """Return the bench that the profile `name` was designed for, with its club on the club's site."""
     path = find_profile(name)
     profile = load_profile(path)
     c = designed_for(name).for_profile(profile, path)
-    return SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
+    return Bench.of(c, profile)

@@ -47,7 +47,7 @@ from bench.design.optimal_control import (
     load_casadi,
     solve_downswing,
 )
-from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
+from bench.simulation.simulated_bench import Bench, simulate_swing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.dynamics import STATES as PLANT_STATES
@@ -158,7 +158,7 @@ def test_address_pose_ball_out_of_reach_raises() -> None:
 
 
 def test_rehearsal_matches_simulated_swing_per_tick() -> None:
-    bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
+    bench = Bench(load_profile(find_profile("driver-85mph")))
     swing = simulate_swing(bench).cycles
     rehearsal = Rehearsal(bench)
     cycles = np.concatenate([rehearsal.advance(n) for n in (1, 0, 99, 1200)])
@@ -206,7 +206,7 @@ def test_solve_downswing_interrupt_is_not_lost(
 
 def test_state_bounds_include_start_beyond_top(plant: PlantParameters) -> None:
     """A robot with much friction comes to the top some hundredths of a radian beyond it."""
-    bench = SimulatedBench(load_profile(find_profile("default")))
+    bench = Bench(load_profile(find_profile("default")))
     demand = demand_near(plant, bench.profile, SwingDemand(head_speed=43.2))
     state = np.zeros(STATES)
     state[:3] = top_pose(plant, demand)
@@ -218,7 +218,7 @@ def test_state_bounds_include_start_beyond_top(plant: PlantParameters) -> None:
 
 def _coarse_plan(plant: PlantParameters, demand: SwingDemand) -> tuple[DownswingProblem, DownswingPlan]:
     """Return the shipped swing's downswing planned anew on a coarse mesh, and the problem it solves."""
-    bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
+    bench = Bench(load_profile(find_profile("driver-85mph")))
     problem = SwingDesigner(bench, demand).problem
     return problem, solve_downswing(plant, problem, *_guess_from(bench.profile, problem.start, 12), 12)
 
@@ -252,7 +252,7 @@ def test_solve_downswing_unreachable_demand_returns_nearest_plan(plant: PlantPar
 def test_design_downswing_without_guess_meets_demand(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a coarse mesh; played on the plant, it meets its demand and survives the missing ball."""
     monkeypatch.setattr("bench.design.designer._INTERVALS", 14)
-    bench = SimulatedBench(load_profile(find_profile("default")))
+    bench = Bench(load_profile(find_profile("default")))
     demand = SwingDemand(head_speed=38.0, attack=radians(2.0))
     told = list[tuple[str, float]]()
     design = SwingDesigner(bench, demand, lambda what, part: told.append((what, part)))

@@ -82,6 +82,6 @@ def test_shipped_limits_worn_robot_swings_without_cause(
     signs: tuple[float, float, float], lengths: float
 ) -> None:
     c, profile = watched("default"), load_profile(find_profile("default"))
-    bench = Bench(c.plant, profile, c.control, c.envelope, c.estimator)
+    bench = Bench.of(c, profile)
     series = Series(bench, worn(c.plant, signs, lengths))
     assert [series.swing(profile).cause for _ in range(2)] == [Cause.NONE] * 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,10 +84,9 @@ def test_shipped_profile_text_reports_missing_speed() -> None:
 @pytest.mark.parametrize("name", release_except({"iron7-78mph", "wedge56-55yd"}, BAG))
 def test_bag_swing_silent_bench_ends_safely(name: str) -> None:
     bench = mounted(name)
-    profile, unwatched = bench.profile, bench.envelope.with_model_check("off")
-    check = SwingCheck(bench.plant, profile, bench.control, unwatched, bench.estimator)
+    check = SwingCheck(replace(bench, envelope=bench.envelope.with_model_check("off")))
     silent = [trial for trial in TRIALS if trial.name.startswith("bench silent")]
-    contact = round(profile.impact_time / profile.period)
+    contact = round(bench.profile.impact_time / bench.profile.period)
     instants = [contact + ticks for ticks in AROUND_THE_BALL]
     outcomes = check.outcomes(tuple(silent), ticks=instants)
     assert len(outcomes) == 2 * len(instants)

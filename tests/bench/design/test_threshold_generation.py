@@ -21,7 +21,6 @@ from bench.design.threshold_generation import (
 from bench.simulation.plant_variation import HealthyRun
 from bench.simulation.simulated_bench import Bench
 from bench.swing.profile import Profile
-from sim.plant import PlantParameters
 from tests.compiled_only import needs_speed
 
 
@@ -76,7 +75,7 @@ def test_make_limits_healthy_robots_stopped_refuses(default_profile: Profile) ->
     valve[1000:1300, 0] = 1.0
     broken = default_profile.__class__(**{**default_profile.__dict__, "valve": valve})
     with pytest.raises(Refused, match="healthy robots stopped"):
-        make_limits(Bench(PlantParameters(), broken), draws=4)
+        make_limits(Bench(broken), draws=4)
 
 
 def test_make_limits_ground_contact_suggests_divot(
@@ -86,5 +85,5 @@ def test_make_limits_ground_contact_suggests_divot(
     stopped = [HealthyRun(np.zeros(1), cause, 0, ()) for cause in causes]
     monkeypatch.setattr("bench.design.threshold_generation._drawn", lambda *_: stopped)
     with pytest.raises(Refused, match="4 of 5 healthy robots stopped: club head") as refused:
-        make_limits(Bench(PlantParameters(), default_profile), draws=5)
+        make_limits(Bench(default_profile), draws=5)
     assert "divot" in refused.value.action

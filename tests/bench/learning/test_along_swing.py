@@ -27,7 +27,7 @@ from tests.conftest import Run
 def bench() -> Bench:
     """Return the shipped configuration and its swing, with gains by hand."""
     c = load_configuration(shipped_configuration())
-    return Bench(c.plant, load_profile(find_profile(c.swing.profile)), HAND, c.envelope)
+    return Bench(load_profile(find_profile(c.swing.profile)), c.plant, HAND, c.envelope)
 
 
 def by_hand(bench: Bench) -> Gains:
@@ -44,14 +44,14 @@ def with_joint(gains: Gains, joint: int, **values: float) -> Gains:
 
 @pytest.fixture(scope="module")
 def plants(bench: Bench) -> list[LinearPlant]:
-    plant = build_plant(bench.model)
+    plant = build_plant(bench.plant)
     return [linearize(plant, point) for point in operating_points(bench)]
 
 
 @pytest.fixture(scope="module")
 def estimator(bench: Bench) -> Estimator:
-    filters = estimator_record(bench.estimator, bench.model)
-    return steady_estimator(filters, bench.model.tick, bench.model.encoders.latency)
+    filters = estimator_record(bench.estimator, bench.plant)
+    return steady_estimator(filters, bench.plant.tick, bench.plant.encoders.latency)
 
 
 @needs_speed
@@ -59,13 +59,13 @@ def test_linearize_small_valve_step_matches_plant_response(bench: Bench, plants:
     """From one state of the backswing, sliding without dry friction, with two openings a little apart."""
     actuators = {
         name: replace(
-            getattr(bench.model, name),
-            friction=replace(getattr(bench.model, name).friction, coulomb=0.0, static=0.0),
+            getattr(bench.plant, name),
+            friction=replace(getattr(bench.plant, name).friction, coulomb=0.0, static=0.0),
         )
         for name in ("shoulder", "right_arm", "wrist")
     }
-    plant = build_plant(replace(bench.model, **actuators))
-    series = Series(bench, bench.model)
+    plant = build_plant(replace(bench.plant, **actuators))
+    series = Series(bench, bench.plant)
     series.settle(swings=0)
     series.swing_again(bench.profile, bench.profile.begins[1] + 400)
     stepper = series._engine.stepper
@@ -103,7 +103,7 @@ def test_least_damping_stiff_wrist_predicts_hunting(
     stiff = with_joint(soft, 2, proportional=0.75, integral=0.45, derivative=0.028, damping=0.0004)
     judged = [frozen for frozen in plants if frozen.point.judged]
     ratios = [
-        min(least_damping(frozen, estimator, gains, bench.model.tick) for frozen in judged)
+        min(least_damping(frozen, estimator, gains, bench.plant.tick) for frozen in judged)
         for gains in (stiff, soft)
     ]
     assert ratios[0] < 0.03
@@ -115,7 +115,7 @@ def test_judge_gain_margin_matches_closed_loop_instability(
     bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
     """Loop margins and closed-loop modes agree, computed independently."""
-    frozen, gains, period = plants[2], by_hand(bench), bench.model.tick
+    frozen, gains, period = plants[2], by_hand(bench), bench.plant.tick
     for joint in range(3):
         loop = judge([frozen], estimator, lambda _: gains, period).loops[joint]
         assert loop.margins.gain > 1
@@ -137,8 +137,8 @@ def test_gains_along_machine_gains_exceed_hand_gain_margins(
     assert [frozen.point.name for frozen in judged] == ["address", "backswing 1/3", "backswing 2/3"]
 
     def found(source: Any) -> LoopMargins:
-        made = bench._replace(control=replace(bench.control, gains=source))
-        return judge(judged, estimator, gains_along(made), bench.model.tick)
+        made = replace(bench, control=replace(bench.control, gains=source))
+        return judge(judged, estimator, gains_along(made), bench.plant.tick)
 
     hand, machine = found("hand"), found("machine")
     for name in ("phase", "delay"):

@@ -119,12 +119,12 @@ def test_delivery_from_encoders_nearer_ball_keeps_head_speed(
 @pytest.mark.release
 def test_delivery_from_encoders_varied_robots_keep_speed_error_small() -> None:
     profile = load_profile(find_profile("default"))
-    bench = Bench(PlantParameters(), profile)
+    bench = Bench(profile)
     plan, errors = prepare(bench).response.free, []
     for seed in (4, 10, 27):
-        series = Series(bench, drawn(seed, bench.model).applied_to(bench.model))
+        series = Series(bench, drawn(seed, bench.plant).applied_to(bench.plant))
         swings = [series.swing(profile) for _ in range(4)]
-        errors.append(np.mean([_error(swing, bench.model, plan) for swing in swings]))
+        errors.append(np.mean([_error(swing, bench.plant, plan) for swing in swings]))
     assert np.abs(errors).max() < 0.0015, errors  # with a parabola 0.0014 to 0.0025
 
 
@@ -137,7 +137,7 @@ def _error(swing: SeriesSwing, model: PlantParameters, plan: Array) -> float:
 
 
 SHIPPED = load_configuration(shipped_configuration())
-BENCH = Bench(SHIPPED.plant, load_profile(find_profile("average-male")), SHIPPED.control, SHIPPED.envelope)
+BENCH = Bench(load_profile(find_profile("average-male")), SHIPPED.plant, SHIPPED.control, SHIPPED.envelope)
 
 
 def test_planned_figures_match_profile_delivery() -> None:
@@ -150,14 +150,14 @@ def test_planned_figures_match_profile_delivery() -> None:
 
 def test_planned_figures_attack_angle_accounts_for_lie() -> None:
     rising = replace(BENCH.profile, delivery=BENCH.profile.delivery | {"path_slope_deg": 2.5})
-    seen = planned_figures(BENCH._replace(profile=rising)).attack
+    seen = planned_figures(replace(BENCH, profile=rising)).attack
     assert degrees(seen) == pytest.approx(
-        degrees(asin(sin(radians(2.5)) * sin(BENCH.model.robot.lie))), abs=1e-9
+        degrees(asin(sin(radians(2.5)) * sin(BENCH.plant.robot.lie))), abs=1e-9
     )
 
 
 def test_planned_figures_profile_without_delivery_is_refused() -> None:
-    without = BENCH._replace(profile=replace(BENCH.profile, delivery={}))
+    without = replace(BENCH, profile=replace(BENCH.profile, delivery={}))
     for aimed in (planned_figures, prepare):
         with pytest.raises(BenchError, match="in_plane_error_mm"):
             aimed(without)

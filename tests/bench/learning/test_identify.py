@@ -30,7 +30,7 @@ from drivers.base.compiled import new_record
 from tests.compiled_only import needs_speed
 
 SHIPPED = load_configuration(shipped_configuration())
-BENCH = Bench(SHIPPED.plant, load_profile(find_profile(SHIPPED.swing.profile)), SHIPPED.control)
+BENCH = Bench(load_profile(find_profile(SHIPPED.swing.profile)), SHIPPED.plant, SHIPPED.control)
 FLOW, INERTIA = NAMES.index("flow of the shoulder's valve"), NAMES.index("club inertia")
 SUPPLY = NAMES.index("supply pressure")
 
@@ -46,7 +46,7 @@ def nominal() -> np.ndarray:
 def test_identify_two_swings_recovers_flow_and_inertia() -> None:
     truth = nominal()
     truth[FLOW], truth[INERTIA] = 0.92, 1.05
-    series = Series(BENCH, variation_of(truth, BENCH).applied_to(BENCH.model))
+    series = Series(BENCH, variation_of(truth, BENCH).applied_to(BENCH.plant))
     swings = [series.swing(BENCH.profile).cycles for _ in range(2)]
     found = identify(BENCH, swings, (NAMES[FLOW], NAMES[INERTIA]))
     assert found.values == pytest.approx(truth, abs=0.02)
@@ -59,7 +59,7 @@ def test_write_plant_file_loads_as_identified_configuration(tmp_path: Path) -> N
     error = np.full(len(NAMES), 0.01)
     error[0] = 0.2
     found = Identified(values, error, 5.0, 0.5)
-    robot = variation_of(values, BENCH).applied_to(BENCH.model)
+    robot = variation_of(values, BENCH).applied_to(BENCH.plant)
     path = tmp_path / "robot.toml"
     write_plant_file(path, robot, found, SHIPPED)
     assert f"{NAMES[0]}: 1.0500 times nominal, 0.2000; NOT identified" in path.read_text()
@@ -77,7 +77,7 @@ def test_identify_failed_search_restarts_from_measured_supply(monkeypatch: pytes
 
     monkeypatch.setattr("bench.learning.identify._errors", errors)
     cycles = new_record(CYCLE, len(BENCH.profile.angle))
-    cycles["supply_pressure"] = 0.92 * BENCH.model.supply.pressure
+    cycles["supply_pressure"] = 0.92 * BENCH.plant.supply.pressure
     found = identify(BENCH, [cycles], (NAMES[SUPPLY],))
     assert found.values[SUPPLY] == pytest.approx(0.92, abs=0.01)
     assert found.after < 0.5 * found.before

@@ -28,7 +28,7 @@ pytestmark = needs_speed
 
 SHIPPED = load_configuration(shipped_configuration())
 PLANT = SHIPPED.plant
-BENCH = Bench(PLANT, load_profile(find_profile(SHIPPED.swing.profile)), SHIPPED.control)
+BENCH = Bench(load_profile(find_profile(SHIPPED.swing.profile)), PLANT, SHIPPED.control)
 WORN = plant_variation.WORN.applied_to(PLANT)
 
 

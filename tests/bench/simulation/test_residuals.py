@@ -12,7 +12,7 @@ from bench.config import Configuration
 from bench.control.estimate.residual_monitor import KINDS
 from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.simulation.replay import NEAR, margins, residual_shares
-from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
+from bench.simulation.simulated_bench import Bench, PoweredBench
 from bench.supervisor.status import read_wear, wear_file
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -68,7 +68,7 @@ def test_wear_command_worn_valve_names_joint_before_swing_stops(
     path = find_profile(configuration.swing.profile)
     profile = load_profile(path)
     c = configuration.for_profile(profile, path)
-    bench = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
+    bench = Bench.of(c, profile)
     latest = []
     for number, band in enumerate((0.0, 0.011)):
         powered = PoweredBench(bench)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from bench.base.errors import Refused
@@ -32,7 +34,7 @@ class StoppedAtTheAddress(Series):
 @pytest.fixture(scope="module")
 def series() -> StoppedAtTheAddress:
     c = load_configuration(shipped_configuration())
-    bench = Bench(c.plant, load_profile(find_profile(c.swing.profile)), c.control, c.envelope)
+    bench = Bench(load_profile(find_profile(c.swing.profile)), c.plant, c.control, c.envelope)
     return StoppedAtTheAddress(bench, c.plant)
 
 
@@ -52,6 +54,7 @@ def test_series_repeated_stop_at_address_is_refused(series: StoppedAtTheAddress)
 
 def test_bench_as_known_checks_model_from_first_row(series: StoppedAtTheAddress) -> None:
     c, file = load_configuration(shipped_configuration()), find_profile("default")
-    limited = series.bench._replace(envelope=c.for_profile(series.bench.profile, file).envelope)
-    rows = [int(one.controller().model["first_row"][0]) for one in (limited, limited._replace(as_known=True))]
+    limited = replace(series.bench, envelope=c.for_profile(series.bench.profile, file).envelope)
+    benches = limited, replace(limited, as_known=True)
+    rows = [int(one.series_controller().model["first_row"][0]) for one in benches]
     assert rows == [LEARNING, 0]

@@ -21,7 +21,7 @@ from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import ShotStatus
 from bench.records.telemetry.record_file import read_swing, write_swing
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.simulated_bench import PoweredBench, SimulatedBench, SwingResult, simulate_swing
+from bench.simulation.simulated_bench import Bench, PoweredBench, SwingResult, simulate_swing
 from bench.swing.profile import Profile
 from drivers.base import PASSIVE
 from drivers.base.records import unpack_command
@@ -37,11 +37,11 @@ NEVER = 10**9
 
 
 @pytest.fixture(scope="module")
-def robot(default_profile: Profile) -> SimulatedBench:
-    return SimulatedBench(default_profile)
+def robot(default_profile: Profile) -> Bench:
+    return Bench(default_profile)
 
 
-def swung(robot: SimulatedBench) -> list[SwingResult]:
+def swung(robot: Bench) -> list[SwingResult]:
     """Return four swings after one arming, the third without a ball."""
     powered = PoweredBench(robot)
     assert powered.arm()
@@ -49,7 +49,7 @@ def swung(robot: SimulatedBench) -> list[SwingResult]:
 
 
 @pytest.fixture(scope="module")
-def series(robot: SimulatedBench) -> list[SwingResult]:
+def series(robot: Bench) -> list[SwingResult]:
     return swung(robot)
 
 
@@ -133,14 +133,12 @@ def test_powered_bench_soft_ball_is_slower_and_missing_ball_fails(series: list[S
     assert again.launch.speed == pytest.approx(normal.launch.speed, rel=0.03)
 
 
-def test_simulate_swing_equals_first_swing_of_series(
-    robot: SimulatedBench, series: list[SwingResult]
-) -> None:
+def test_simulate_swing_equals_first_swing_of_series(robot: Bench, series: list[SwingResult]) -> None:
     assert simulate_swing(robot).cycles.tobytes() == series[0].cycles.tobytes()
 
 
 def test_simulated_bench_metadata_stores_configuration_and_versions(
-    robot: SimulatedBench, series: list[SwingResult], tmp_path: Path
+    robot: Bench, series: list[SwingResult], tmp_path: Path
 ) -> None:
     path = tmp_path / "swing.parquet"
     write_swing(path, series[0].cycles, robot.metadata({"shot": {"number": 1, "ball": "standard"}}))
@@ -169,7 +167,7 @@ def test_swing_result_shot_fills_shot_table_row(series: list[SwingResult]) -> No
     assert (missed.status, missed.ball, missed.carry_m) == (ShotStatus.FAILED, "", None)
 
 
-def test_simulate_swing_envelope_trip_gives_failed_shot(robot: SimulatedBench) -> None:
+def test_simulate_swing_envelope_trip_gives_failed_shot(robot: Bench) -> None:
     result = simulate_swing(replace(robot, envelope=EnvelopeSettings(max_speed=(6.0, 6.0, 48.0))))
     assert (result.status, result.cause) == (ShotStatus.FAILED, Cause.SHOULDER_SPEED)
     assert result.reason == CAUSE_TEXT[Cause.SHOULDER_SPEED]
@@ -178,7 +176,7 @@ def test_simulate_swing_envelope_trip_gives_failed_shot(robot: SimulatedBench) -
 
 
 def test_simulate_swing_failed_flight_gives_failed_shot(
-    robot: SimulatedBench, monkeypatch: pytest.MonkeyPatch
+    robot: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise ValueError("the ball is still in the air after 60 s")
@@ -191,7 +189,7 @@ def test_simulate_swing_failed_flight_gives_failed_shot(
 
 
 @pytest.mark.usefixtures("steppers")
-def test_simulate_swing_unreachable_address_is_refused(robot: SimulatedBench) -> None:
+def test_simulate_swing_unreachable_address_is_refused(robot: Bench) -> None:
     beyond = replace(robot.profile, angle=robot.profile.angle + [0.0, 0.0, 0.6])
     with pytest.raises(Refused, match=r"arming with profile") as refused:
         simulate_swing(replace(robot, profile=beyond))
@@ -200,7 +198,7 @@ def test_simulate_swing_unreachable_address_is_refused(robot: SimulatedBench) ->
 
 
 def test_simulate_swing_open_emergency_stop_circuit_is_refused(
-    robot: SimulatedBench, monkeypatch: pytest.MonkeyPatch
+    robot: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Pressed(Lockstep):
         def __init__(self, *arguments: Any) -> None:
@@ -218,7 +216,7 @@ def swing_ticks(series: list[SwingResult]) -> int:
 
 
 @pytest.fixture(scope="module")
-def first_question(robot: SimulatedBench, swing_ticks: int) -> int:
+def first_question(robot: Bench, swing_ticks: int) -> int:
     """Return the number of the first question in a swing; there is one every 200 ms."""
     counted = ControlC(lambda: False, NEVER)
     simulate_swing(robot, stop=counted)
@@ -229,7 +227,7 @@ def first_question(robot: SimulatedBench, swing_ticks: int) -> int:
     "seconds", release_except({-1.5, 0.7, 1.4, 2.5}, [-1.5, 0.2, 0.7, 1.2, 1.4, 1.7, 2.5])
 )
 def test_simulate_swing_interrupt_stops_swing_and_keeps_record(
-    robot: SimulatedBench,
+    robot: Bench,
     swing_ticks: int,
     first_question: int,
     steppers: list[Any],
@@ -267,7 +265,7 @@ def test_simulate_swing_interrupt_stops_swing_and_keeps_record(
 
 
 def test_command_line_interrupt_exits_with_130(
-    robot: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    robot: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def swing(*_: object) -> None:
         with deferred_interrupt() as wish:
@@ -281,6 +279,6 @@ def test_command_line_interrupt_exits_with_130(
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_simulate_swing_interrupt_before_start_makes_no_swing(robot: SimulatedBench) -> None:
+def test_simulate_swing_interrupt_before_start_makes_no_swing(robot: Bench) -> None:
     with pytest.raises(KeyboardInterrupt):
         simulate_swing(robot, stop=lambda: True)

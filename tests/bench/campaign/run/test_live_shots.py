@@ -47,7 +47,7 @@ from bench.network.lease import CAMPAIGN_HOLDER
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.shot.shot_message import ShotPublication, launch_to_json, shot_publication
 from bench.records.telemetry.record_file import SwingRecord, read_swing
-from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
+from bench.simulation.simulated_bench import Bench, simulate_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
@@ -654,7 +654,7 @@ def test_live_shots_swing_ends_shortage_of_supply(plan: CampaignPlan) -> None:
 def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launch]:
     """Return the record of a swing that struck the ball, and the launch."""
     c, profile = SHIPPED, assessed()["default", "driver"]
-    robot = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
+    robot = Bench.of(c, profile)
     swing = simulate_swing(replace(robot, plant=replace(c.plant, ball=Ball())))
     assert swing.launch is not None
     metadata = {

@@ -92,7 +92,7 @@ def test_diagnosed_robot_series_enables_model_check(
     armed = list[Bench]()
 
     DiagnosedRobot(cast("Arm", armed.append), (), tmp_path).series(bench_of(configuration, default))
-    parameters = armed[0].controller()
+    parameters = armed[0].series_controller()
     assert parameters.model["check"][0]
     assert np.isfinite(parameters.model["air"][0, Phase.DOWNSWING]).all()
 

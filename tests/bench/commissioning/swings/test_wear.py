@@ -19,7 +19,7 @@ from bench.commissioning.swings.wear import (
 )
 from bench.config import Configuration
 from bench.control.measured_plant import value_at, with_values
-from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
+from bench.simulation.simulated_bench import Bench, PoweredBench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
@@ -29,27 +29,27 @@ Values = tuple[WearingValue, ...]
 
 
 @pytest.fixture(scope="module")
-def bench(configuration: Configuration) -> SimulatedBench:
+def bench(configuration: Configuration) -> Bench:
     path = find_profile(configuration.swing.profile)
     profile = load_profile(path)
     c = configuration.for_profile(profile, path)
-    return SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
+    return Bench.of(c, profile)
 
 
-def _powered(bench: SimulatedBench, plant: PlantParameters) -> PoweredBench:
+def _powered(bench: Bench, plant: PlantParameters) -> PoweredBench:
     powered = PoweredBench(bench)
     powered.engine.stepper.plant = build_plant(plant)
     powered.engine.begin_record()
     return powered
 
 
-def _swung(bench: SimulatedBench, plant: PlantParameters) -> np.ndarray:
+def _swung(bench: Bench, plant: PlantParameters) -> np.ndarray:
     powered = _powered(bench, plant)
     assert powered.arm()
     return powered.swing(plant.ball).cycles
 
 
-def _parts(bench: SimulatedBench, cycles: np.ndarray) -> list[PartWear]:
+def _parts(bench: Bench, cycles: np.ndarray) -> list[PartWear]:
     return worn_parts([fitted_wear(cycles, bench.plant)])
 
 
@@ -58,7 +58,7 @@ def _changes(parts: Sequence[PartWear]) -> dict[tuple[str, str], float]:
 
 
 @needs_speed
-def test_worn_parts_several_changes_are_found_in_one_swing(bench: SimulatedBench) -> None:
+def test_worn_parts_several_changes_are_found_in_one_swing(bench: Bench) -> None:
     plant = bench.plant
     band, speed = plant.right_arm.valve.dead_band, plant.wrist.valve.natural_frequency
     friction = {
@@ -87,7 +87,7 @@ def test_worn_parts_several_changes_are_found_in_one_swing(bench: SimulatedBench
 
 
 @needs_speed
-def test_worn_parts_stopped_arming_names_valve_not_sensor(bench: SimulatedBench) -> None:
+def test_worn_parts_stopped_arming_names_valve_not_sensor(bench: Bench) -> None:
     powered = _powered(bench, with_values(bench.plant, {"right_arm.valve.centre": 0.008}))
     with pytest.raises(Refused, match="check its sensor"):
         powered.arm()
@@ -97,7 +97,7 @@ def test_worn_parts_stopped_arming_names_valve_not_sensor(bench: SimulatedBench)
 
 
 @needs_speed
-def test_worn_parts_sensor_offset_names_sensor_not_valve(bench: SimulatedBench) -> None:
+def test_worn_parts_sensor_offset_names_sensor_not_valve(bench: Bench) -> None:
     cycles = _swung(bench, bench.plant).copy()
     cycles["chamber_pressure"][:, 2] += 1.5e4
     worn = [one for one in _parts(bench, cycles) if one.is_worn]
@@ -106,7 +106,7 @@ def test_worn_parts_sensor_offset_names_sensor_not_valve(bench: SimulatedBench) 
 
 
 @needs_speed
-def test_worn_parts_fault_free_robot_finds_none(bench: SimulatedBench) -> None:
+def test_worn_parts_fault_free_robot_finds_none(bench: Bench) -> None:
     assert not [one for one in _parts(bench, _swung(bench, bench.plant)) if one.is_worn]
 
 

@@ -164,11 +164,11 @@ def test_observer_stall_keeps_pressures_finite() -> None:
 def shipped() -> Bench:
     """Return the shipped configuration with its swing."""
     c = load_configuration(shipped_configuration())
-    return Bench(c.plant, load_profile(find_profile(c.swing.profile)), c.control)
+    return Bench(load_profile(find_profile(c.swing.profile)), c.plant, c.control)
 
 
 def bench_with(bench: Bench, feed_forward: FeedForward) -> Bench:
-    return bench._replace(control=replace(bench.control, feed_forward=feed_forward))
+    return replace(bench, control=replace(bench.control, feed_forward=feed_forward))
 
 
 def rms(cycles: Array, first: int, last: int) -> Array:
@@ -179,7 +179,7 @@ def rms(cycles: Array, first: int, last: int) -> Array:
 
 @needs_speed
 def test_pneumatic_feed_forward_without_sensors_halves_following_error(shipped: Bench) -> None:
-    blind = replace(shipped.model, pressure_sensors=False)
+    blind = replace(shipped.plant, pressure_sensors=False)
     begins, errors = shipped.profile.begins, {}
     for feed_forward in ("none", "kane+pneumatic"):
         swing = Series(bench_with(shipped, feed_forward), blind).swing(shipped.profile)
@@ -192,10 +192,10 @@ def test_pneumatic_feed_forward_without_sensors_halves_following_error(shipped: 
 @needs_speed
 @pytest.mark.parametrize("worn", [False, True], ids=["nominal", "worn"])
 def test_observer_force_error_is_small(shipped: Bench, worn: bool) -> None:
-    plant = replace(shipped.model, pressure_sensors=False)
+    plant = replace(shipped.plant, pressure_sensors=False)
     plant = WORN.applied_to(plant) if worn else plant
     bench = bench_with(shipped, "kane+pneumatic")
-    stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0])
+    stepper = Lockstep(build_plant(plant), bench.series_controller(), bench.profile.angle[0])
     engine = LockstepEngine(stepper)
     assert engine.arm()
     assert engine.start_swing(attempts=1, wait=1)

@@ -470,7 +470,7 @@ def test_swing_known_spool_centre_keeps_delivery(profile: Profile) -> None:
     delivered = []
     for centre in (0.0, 0.025):
         plant, _ = machine(profile, centre=centre)
-        made = Series(Bench(quiet(plant), profile), quiet(plant)).swing(profile)
+        made = Series(Bench(profile, quiet(plant)), quiet(plant)).swing(profile)
         assert made.delivery is not None
         delivered.append(made.delivery)
     straight, beside = delivered

@@ -26,6 +26,7 @@ from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE, Contro
 from bench.design.stop_verification import TRIALS, SwingCheck, TrialOutcome
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.plant_variation import healthy_plant
+from bench.simulation.simulated_bench import Bench
 from bench.simulation.swing_operator import LockstepEngine
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
@@ -183,7 +184,7 @@ def iron() -> SwingCheck:
     file = find_profile("iron7-78mph")
     profile = load_profile(file)
     c = load_configuration(Path("bag")).with_club(profile.club).for_profile(profile, file)
-    return SwingCheck(c.plant, profile, c.control, c.envelope, c.estimator)
+    return SwingCheck(Bench.of(c, profile))
 
 
 def ended(check: SwingCheck, fault: str, tick: int) -> TrialOutcome:

@@ -29,6 +29,7 @@ from bench.design.sizing.search import (
     cheaper,
 )
 from bench.design.stop_verification import TRIALS, SwingCheck
+from bench.simulation.simulated_bench import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from tests.compiled_only import needs_speed
@@ -180,7 +181,7 @@ def test_variant_matches_hardware_named_in_comment(name: str, speed: float) -> N
 def test_swing_check_high_speed_trials_end_safely(name: str) -> None:
     c, profile = load_configuration(Path("high_speed")), load_profile(find_profile(name))
     trials = tuple(trial for trial in TRIALS if "stuck" not in trial.name)
-    check = SwingCheck(c.plant, profile, c.control, c.envelope.with_model_check("off"), c.estimator)
-    outcomes = check.outcomes(trials, spacing=205)
+    bench = Bench.of(replace(c, envelope=c.envelope.with_model_check("off")), profile)
+    outcomes = SwingCheck(bench).outcomes(trials, spacing=205)
     assert len(outcomes) > 90
     assert [outcome for outcome in outcomes if outcome.unsafe] == []

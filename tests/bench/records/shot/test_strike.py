@@ -98,7 +98,7 @@ def shipped() -> tuple[Series, Any, PlantParameters]:
     c = c.for_profile(profile, file)
     plant = healthy_plant(c.plant, 1)
     envelope = c.envelope.with_model_check("off")
-    return Series(Bench(c.plant, profile, c.control, envelope, c.estimator), plant), profile, plant
+    return Series(Bench.of(replace(c, envelope=envelope), profile), plant), profile, plant
 
 
 def swung(watch: DriftMonitor, series: Series, profile: Any, counts: int) -> tuple[str, ...]:
