@@ -25,7 +25,7 @@ from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimate.encoder import design_encoders
 from bench.control.estimate.estimator import design_estimator
 from bench.control.estimate.residual_monitor import ARMING, BRAKING, KINDS, LEARNING, MODEL_LIMITS, SHOCK
-from bench.control.law.feed_forward import CODES, FeedForward, kane_gains
+from bench.control.law.feed_forward import CODES, FeedForward
 from bench.control.law.force_reference import demand_for
 from bench.control.law.gain_scheduling import machine_gains
 from bench.control.law.gain_table import Gains, constant_gains
@@ -380,9 +380,7 @@ def build_controller(
     machine = build_plant(plant).plant
     demand = demand_for(control.feed_forward, plant, profile)
     return ControlParameters(
-        control=_control_record(
-            control, lifecycle, homing or HomingSettings(), plant, profile, machine, read_only
-        ),
+        control=_control_record(control, lifecycle, homing or HomingSettings(), plant, profile, read_only),
         encoder=design_encoders(
             counts_per_revolution=plant.encoders.counts_per_revolution,
             zero_count=plant.encoders.zero_count,
@@ -509,12 +507,9 @@ def _control_record(
     homing: HomingSettings,
     plant: PlantParameters,
     profile: Profile,
-    machine: np.ndarray,
     read_only: bool,
 ) -> np.ndarray:
     record = new_record(CONTROL_PARAMETERS)
-    if control.feed_forward == "kane":
-        record["rate_opening"], record["speed_opening"] = kane_gains(machine)
     for prefix, settings in (("", control), ("", lifecycle), ("home_", homing)):
         for setting in fields(settings):
             if setting.name not in _CODED:  # any other one without a field of its name is an error

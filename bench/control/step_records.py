@@ -19,7 +19,7 @@ CONTROL_PARAMETERS = np.dtype(
         # Swing, slow moves and brake
         *fields("f8", "downswing_damping downswing_gain_factor dither_period dither_delay"),
         *fields("f8", "lift_gain lift_angle rest_time brake_timeout open_loop_settling_time"),
-        *fields("f8", "dither move_band force_gain rate_opening speed_opening", (3,)),
+        *fields("f8", "dither move_band force_gain", (3,)),
         ("feed_forward", "u1"),
         *fields("f8", "precharge_time precharge_opening precharge_period move_timeout impact_speed_drop"),
         *fields("f8", "move_speed address_tolerance address_deadband rest_speed", (3,)),
@@ -46,9 +46,9 @@ CONTROL_PARAMETERS = np.dtype(
     align=True,
 )
 """Gains and times. `downswing_damping` is the fraction of the damping left in the downswing, `dither` the
-amplitude of the dither up to the top. `feed_forward` is a code of `bench.control.law.feed_forward`,
-`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the valve commands that overcome the
-dead bands in slow moves; `brake_gain`, `brake_damping` are gains of the BRAKE law."""
+amplitude of the dither up to the top. `feed_forward` is a code of `bench.control.law.feed_forward`;
+`move_band` are the valve commands that overcome the dead bands in slow moves; `brake_gain`, `brake_damping`
+are gains of the BRAKE law."""
 
 
 def _nested(*members: tuple[Any, ...]) -> np.dtype[Any]:

@@ -1,35 +1,27 @@
 """Feed-forward valve commands: planned by the profile, or computed from the robot's model.
 
 planned         the profile's valve commands, found for this very loop on the nominal plant;
-kane            a spool meters flow, and flow changes the force: the rate of the force that Kane's equations
-                demand and the speed of the motion, each with a constant gain, that of half a stroke and of
-                chambers evenly charged;
 kane+pneumatic  the valve command whose air flow changes the force as demanded: chamber equations and the
                 valve's flow (ISO 6358) solved for the spool, dead band and leakage included, at the pressures
                 that `bench.control.estimate.air` observes.
 
-All pure; the demanded forces and their rates are tables (`bench.control.law.force_reference`).
+All pure; the demanded forces, by Kane's equations, and their rates are tables
+(`bench.control.law.force_reference`).
 """
 
 from __future__ import annotations
 
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bench.control.estimate.air import actuator_force, actuator_motion
 from drivers.base.compiled import compiled
 from sim.pneumatics import flow
 
-Array = NDArray[np.float64]
-FeedForward = Literal["none", "planned", "kane", "kane+pneumatic"]
-CODES: tuple[FeedForward, ...] = ("none", "planned", "kane", "kane+pneumatic")
+FeedForward = Literal["none", "planned", "kane+pneumatic"]
+CODES: tuple[FeedForward, ...] = ("none", "planned", "kane+pneumatic")
 """Feed-forwards in the order of their codes in the control record."""
-NONE, PLANNED, KANE, PNEUMATIC = range(4)
+NONE, PLANNED, PNEUMATIC = range(3)
 
-_CHARGED = 0.75
-"""Chamber pressure after the precharge, as a fraction of the supply pressure."""
 _EASED = 0.01
 """Fraction of the stroke over which the jump across the dead band is spread: no chatter around zero."""
 
@@ -82,20 +74,3 @@ def pneumatic_opening(
     position, speed = actuator_motion(robot, p, angle, velocity, i)
     rates = force_rates(p, i, air.pressure, position, speed)
     return opening_for(p, i, rates, rate + gain * (force - actuator_force(p, air.pressure, i)))
-
-
-def kane_gains(plant: Any) -> tuple[Array, Array]:
-    """Return valve commands (3,) per force rate (N/s) and per speed (m/s); the shoulder's in N m/s and rad/s.
-
-    `plant` is the machine's PLANT_PARAMETERS record.
-    """
-    p, air = plant[0], np.full(13, _CHARGED * plant["regulated"][0])
-    air[12] = p["regulated"]
-    by_rate, by_speed = np.zeros(3), np.zeros(3)
-    for i in range(3):
-        middle = 0.5 * (p["volume_lower"][i] + p["volume_upper"][i])
-        still, up, down = force_rates(p, i, air, middle, 0.0)
-        moving = force_rates(p, i, air, middle, 1.0)[0]
-        by_rate[i] = 2.0 / (up - down)
-        by_speed[i] = (still - moving) * by_rate[i]
-    return by_rate, by_speed

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.law.feed_forward import CODES, KANE, FeedForward
+from bench.control.law.feed_forward import FeedForward
 from bench.swing.profile import Profile
 from sim.kane import inverse_dynamics
 from sim.kinematics import right_arm_length
@@ -38,7 +38,7 @@ class ForceDemand(NamedTuple):
 
 def demand_for(feed_forward: FeedForward, plant: PlantParameters, profile: Profile) -> ForceDemand:
     """Return the forces for a controller with `feed_forward`: `demand_of`, or zeros if it uses none."""
-    if CODES.index(feed_forward) >= KANE:
+    if feed_forward == "kane+pneumatic":
         return demand_of(plant, profile)
     return ForceDemand(np.zeros(profile.angle.shape), np.zeros(profile.angle.shape))
 

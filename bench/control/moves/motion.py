@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bench.base.lifecycle import Phase, Reaction, State
-from bench.control.law.feed_forward import KANE, NONE
+from bench.control.law.feed_forward import NONE, PNEUMATIC
 from bench.control.law.gain_table import (
     DAMPING,
     DERIVATIVE,
@@ -105,7 +105,7 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
     """Set the desired valve commands (3,): PID, feed-forward, damping, charging and dither."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     _take_gains(s, p, state.pid[0], parameters.pid[0])
-    if s.swinging and p.feed_forward >= KANE:
+    if s.swinging and p.feed_forward == PNEUMATIC:
         feed_model_forward(state, parameters, time)
     for i in range(3):
         if p.feed_forward == NONE:

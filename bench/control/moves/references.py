@@ -9,8 +9,7 @@ from math import floor, sqrt
 from typing import Any
 
 from bench.base.lifecycle import Phase
-from bench.control.estimate.air import actuator_motion
-from bench.control.law.feed_forward import PNEUMATIC, pneumatic_opening
+from bench.control.law.feed_forward import pneumatic_opening
 from bench.control.moves.first_motion import TEST_TIME, choose_target
 from bench.control.moves.ground_clearance import joint_progress, moves_arm_first
 from drivers.base.compiled import compiled
@@ -114,19 +113,15 @@ def feed_model_forward(state: Any, parameters: Any, time: float) -> None:
     part = min(max((time - s.swing.start) / profile.period - k, 0.0), 1.0)
     for i in range(3):
         changing = rate[k, i] + part * (rate[k + 1, i] - rate[k, i])
-        if p.feed_forward == PNEUMATIC:
-            wanted = force[k, i] + part * (force[k + 1, i] - force[k, i])
-            s.feed_forward[i] = pneumatic_opening(
-                machine,
-                parameters.robot,
-                i,
-                state.air[0],
-                s.reference,
-                s.reference_velocity,
-                wanted,
-                changing,
-                p.force_gain[i],
-            )
-        else:
-            _, speed = actuator_motion(parameters.robot, machine, s.reference, s.reference_velocity, i)
-            s.feed_forward[i] = p.rate_opening[i] * changing + p.speed_opening[i] * speed
+        wanted = force[k, i] + part * (force[k + 1, i] - force[k, i])
+        s.feed_forward[i] = pneumatic_opening(
+            machine,
+            parameters.robot,
+            i,
+            state.air[0],
+            s.reference,
+            s.reference_velocity,
+            wanted,
+            changing,
+            p.force_gain[i],
+        )

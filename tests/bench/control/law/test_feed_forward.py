@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from bench.base.lifecycle import Cause, Phase
 from bench.config import load_configuration, shipped_configuration
 from bench.control.estimate.air import actuator_force
-from bench.control.law.feed_forward import FeedForward, force_rates, kane_gains, opening_for
+from bench.control.law.feed_forward import FeedForward, force_rates, opening_for
 from bench.control.law.force_reference import actuator_forces, demand_of
 from bench.control.settings import ControlSettings
 from bench.simulation.lockstep import Lockstep
@@ -72,19 +72,6 @@ def test_opening_for_gives_wanted_force_rate(
     assert abs(opening_for(p, i, rates, rates[0])) < 1e-9
 
 
-def test_kane_gains_match_force_rates_at_half_stroke() -> None:
-    by_rate, by_speed = kane_gains(MACHINE)
-    pressure = np.full(13, 6e5)
-    pressure[12] = 8e5
-    middle = 0.5 * (MACHINE["volume_lower"][0, 0] + MACHINE["volume_upper"][0, 0])
-    still, up, down = force_rates(MACHINE[0], 0, pressure, middle, 0.0)
-    assert by_rate[0] * 0.5 * (up - down) == pytest.approx(1.0)
-    moving = force_rates(MACHINE[0], 0, pressure, middle, 2.0)[0]
-    assert by_speed[0] * 2.0 == pytest.approx((still - moving) * by_rate[0])
-    assert (by_rate > 0).all()
-    assert (by_speed > 0).all()
-
-
 def swung(period: float = 1e-3) -> tuple[Profile, Array, Array]:
     """Return a smooth swing with its velocities and accelerations."""
     time = np.arange(SAMPLES)[:, None] * period
@@ -126,7 +113,7 @@ def test_actuator_forces_include_levers_and_friction() -> None:
 def test_observer_starts_only_with_pneumatic_feed_forward() -> None:
     puppet = Puppet().swing(50)
     assert not puppet.state.air["started"][0]
-    puppet = Puppet(control=replace(QUICK_PNEUMATIC)).swing(50)
+    puppet = Puppet(control=QUICK_PNEUMATIC).swing(50)
     assert puppet.state.air["started"][0]
 
 
@@ -135,9 +122,8 @@ QUICK_PNEUMATIC = ControlSettings(
 )
 
 
-@pytest.mark.parametrize("feed_forward", ["kane", "kane+pneumatic"])
-def test_feed_forward_without_pressures_stays_finite(feed_forward: FeedForward) -> None:
-    puppet = Puppet(swung()[0], replace(QUICK_PNEUMATIC, feed_forward=feed_forward)).swing(150)
+def test_feed_forward_without_pressures_stays_finite() -> None:
+    puppet = Puppet(swung()[0], QUICK_PNEUMATIC).swing(150)
     openings = puppet.run(100)
     assert np.isfinite(openings).all()
     assert np.abs(openings).max() <= 1.0
