@@ -59,7 +59,7 @@ from sim.driver import hanging_pose
 from sim.faults import Fault
 from sim.flight import Flight, fly
 from sim.impact import Delivery, impact_parameters
-from sim.plant import Plant, PlantParameters, build_plant, initial_state
+from sim.plant import PlantParameters, build_plant, initial_state
 from sim.sensors import Contact, contact_in
 
 _LOOK = 0.02
@@ -351,8 +351,6 @@ class SeriesSwing(NamedTuple):
     """CYCLE records of the profile's duration, from its first tick."""
     delivery: Delivery | None
     """Delivery at the plant's contact; None without one."""
-    contact_time: float
-    """Time from the swing's first tick (s); NaN without contact."""
     cause: Cause
     """Cause of a stop; NONE without one."""
     air_used: float
@@ -390,7 +388,7 @@ class Series:
         Raises:
             Refused: the robot does not reach its address.
         """
-        self.bench, self._parameters = bench, plant
+        self.bench = bench
         stepper = Lockstep(build_plant(plant), bench.series_controller(), bench.profile.angle[0], faults)
         self._engine = LockstepEngine(stepper, name=bench.profile.name)
         self._arm()
@@ -406,11 +404,6 @@ class Series:
     def loads(self) -> Loads:
         """Return the loads since it was armed first."""
         return self._engine.loads()
-
-    @property
-    def plant(self) -> Plant:
-        """Plant that the series swings."""
-        return self._engine.stepper.plant
 
     def settle(self, swings: int = 2) -> None:
         """Swing some times and rest: at this instant `swing_again` begins.
@@ -428,12 +421,9 @@ class Series:
         self._engine.go_back(self._mark)
         return self._swing(profile, ticks, ball=ball)
 
-    def swing(
-        self, profile: Profile, parameters: ControlParameters | None = None, *, ball: bool = True
-    ) -> SeriesSwing:
+    def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
         """Rest at the address, tee a ball up, swing `profile`, and come back to the address.
 
-        With `parameters` another controller makes the swing itself, but not what precedes and follows it.
         After a stop the robot is reset and armed again, as an operator does. After a stop at the address,
         where a joint may slip, the swing is also repeated.
 
@@ -441,11 +431,7 @@ class Series:
             ReturnFailed: the robot does not come back to its address.
             Refused: it does not come to rest there before.
         """
-        stepper = self._engine.stepper
-        own = stepper.parameters
-        swing = self._rest_and_swing(profile, ball=ball, other=parameters)
-        if parameters is not None:
-            stepper.parameters = own
+        swing = self._rest_and_swing(profile, ball=ball)
         if self._returned():
             return swing
         swing = swing._replace(cause=self._engine.cause)
@@ -455,25 +441,21 @@ class Series:
             raise return_failed(refused, swing) from None
         return swing
 
-    def _rest_and_swing(
-        self, profile: Profile, *, ball: bool, other: ControlParameters | None
-    ) -> SeriesSwing:
+    def _rest_and_swing(self, profile: Profile, *, ball: bool) -> SeriesSwing:
         """Rest at the address and swing; take the address again after a stop there."""
         for _ in range(ADDRESS_TRIES - 1):
             self.rest()
             try:
-                return self._swing(profile, len(profile.angle), ball=ball, other=other)
+                return self._swing(profile, len(profile.angle), ball=ball)
             except Refused:
                 if not self._engine.cause:
                     raise
                 self._recover()
         self.rest()
-        return self._swing(profile, len(profile.angle), ball=ball, other=other)
+        return self._swing(profile, len(profile.angle), ball=ball)
 
-    def _swing(
-        self, profile: Profile, ticks: int, *, ball: bool = True, other: ControlParameters | None = None
-    ) -> SeriesSwing:
-        """Swing for `ticks`, from the accepted request on by the controller `other` if there is one."""
+    def _swing(self, profile: Profile, ticks: int, *, ball: bool) -> SeriesSwing:
+        """Swing for `ticks` from the accepted request on."""
         engine, stepper, bench = self._engine, self._engine.stepper, self.bench
         stepper.parameters = with_tables_of(stepper.parameters, profile, bench.control, bench.plant)
         engine.begin_record()
@@ -482,17 +464,12 @@ class Series:
         before = float(engine.plant_state["air_used"][0])
         if not engine.start_swing(_REQUESTS, _CHUNK):
             raise engine.refusal("the robot does not come to rest there")
-        if other is not None:  # not before: the address is held, and its air awaited, by the bench's own
-            stepper.parameters = with_tables_of(other, profile, bench.control, bench.plant)
         cycles = joined([engine.latest, engine.advance(ticks - 1)])
-        contact, site = contact_in(engine.plant_state), self.bench.plant.site
-        delivery, time = None, float("nan")
-        if contact is not None:
-            time = contact.time - float(cycles["time"][0])
-            delivery = contact.delivery(self.bench.plant.robot, (site.ball_x, site.ball_y))
+        contact, site = contact_in(engine.plant_state), bench.plant.site
+        delivery = contact and contact.delivery(bench.plant.robot, (site.ball_x, site.ball_y))
         used = float(engine.plant_state["air_used"][0]) - before
         settled, self._settled = self._settled, True
-        return SeriesSwing(cycles, delivery, time, engine.cause, used, settled)
+        return SeriesSwing(cycles, delivery, engine.cause, used, settled)
 
     def _returned(self) -> bool:
         """Let the robot return; return whether it holds the address again, without a reaction."""

@@ -107,7 +107,7 @@ def run(arguments: list[str]) -> list[Row]:
     profile = load_profile(file)
     c = configuration = shipped.for_profile(profile, file)
     problem = prepare(Bench.of(c, profile))
-    worn, result, series = _taught(problem, "worn", WORN)
+    worn, result, plant = _taught(problem, "worn", WORN)
     print(worn.text, flush=True)
     seeds = range(1, options.draws + 1)
     learned = swept(options, LearningDraws(problem), seeds, "learning", configuration)
@@ -126,7 +126,7 @@ def run(arguments: list[str]) -> list[Row]:
     rows.append(Row(NAME, "drawn robots that learned", good, "", at_least=round(0.9 * options.draws)))
     rows.append(Row(NAME, "learning swings, mean", float(np.mean([o.used for o in outcomes])), ""))
     rows.append(Row(NAME, "stops in all learning swings", sum(o.stops for o in outcomes), ""))
-    off = _repeated(problem, result, series.plant.parameters)
+    off = _repeated(problem, result, plant)
     for name, mean, spread, unit in zip(_NAMES, off.mean(axis=0), off.std(axis=0), _UNITS, strict=True):
         rows.append(Row(NAME, f"{REPEATED} swings with noise: {name} off, mean", float(mean), f"x {unit}"))
         rows.append(Row(NAME, f"{REPEATED} swings with noise: {name}, SD", float(spread), f"x {unit}"))
@@ -139,7 +139,7 @@ _UNITS = ("2 mm", "0.3 %", "0.3°", "0.3°")
 
 def _taught(
     problem: LearningProblem, robot: str, variation: Variation
-) -> tuple[Outcome, LearningResult, Series]:
+) -> tuple[Outcome, LearningResult, PlantParameters]:
     plant = variation.applied_to(problem.bench.plant)
     series = Series(problem.bench, plant)
     result = learn(problem, on_series(problem, series))
@@ -154,7 +154,7 @@ def _taught(
         result.attempts[result.chosen].saturated,
         variation.supply,
     )
-    return outcome, result, series
+    return outcome, result, plant
 
 
 def _repeated(problem: LearningProblem, result: LearningResult, plant: PlantParameters) -> Array:

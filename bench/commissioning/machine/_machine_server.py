@@ -130,7 +130,7 @@ class LiveSeries:
         for _ in range(_REPEATED):
             cycles, whole = self._swing(profile, ball=ball)
             settled = bool(self.bench.profile.air)
-            made = SeriesSwing(cycles, None, float("nan"), Cause.NONE, float("nan"), settled)
+            made = SeriesSwing(cycles, None, Cause.NONE, float("nan"), settled)
             try:
                 cause, stall = self._come_back()
             except (Stalled, StoppedByPerson):
