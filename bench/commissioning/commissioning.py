@@ -282,10 +282,10 @@ class _CountedMachine:
     def set_supply(self, pressure: float) -> None:
         self._machine.set_supply(pressure)
 
-    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
+    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds, doing: str = "") -> MotionTrace:
         self._motions += 1
         self._progress(f"{self._title}: motion {self._motions}")
-        return self._machine.run(segments, bounds)
+        return self._machine.run(segments, bounds, doing)
 
     def vent(self, duration: float = 40.0) -> MotionTrace:
         self._progress(f"{self._title}: venting after motion {self._motions}")

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from math import pi
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.base.errors import Refused
-from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment, Until
+from bench.commissioning.machine.machine import (
+    Array,
+    CommissionedMachine,
+    MotionBounds,
+    MotionTrace,
+    Segment,
+    Until,
+)
 from bench.config import Configuration
 from bench.control.measured_plant import value_at, with_values
 from bench.simulation.safety import Loads
@@ -28,9 +37,9 @@ SIDES: tuple[Side, Side] = ("upper", "lower")
 FOLD_ORDER = (2, 1, 0)
 """Joints in the order in which they go to their lower stops: first the club is folded off the ground."""
 MOVING = 3.0e5
-"""Supply pressure while a joint moves to an end stop (Pa absolute)."""
+"""Supply pressure until each joint has answered: a person may have been at the robot before (Pa absolute)."""
 PRESSING = 4.5e5
-"""Supply pressure while a joint is pressed against an end stop (Pa absolute)."""
+"""Supply pressure of later motions, and while a joint is pressed against an end stop (Pa absolute)."""
 PRESSED = 3.0e5
 """Pressure of the driving chamber at which even a joint of high friction is at its stop, Pa absolute."""
 PARKING = 0.03
@@ -45,6 +54,10 @@ _OWN_SHARE = 0.2
 """Share of another joint's way below which an encoder does not follow its own."""
 _JUMP = 100.0
 """Speed beyond which a count has jumped (rad/s)."""
+_ANSWER = 0.05
+"""Min way by which a joint answers (rad)."""
+_AT_STOP = 0.02
+"""Max distance from its stop of a joint that friction does not hold (rad)."""
 _CUSHION_SHARE = 0.5
 """Fraction of an absorber's rated energy that a joint has at the speed bound."""
 
@@ -105,6 +118,22 @@ class StopMove(NamedTuple):
         return np.asarray(self.pressing.first_count + self.pressing.count[-1])
 
 
+def joint_angles(trace: MotionTrace, plant: PlantParameters) -> Array:
+    """Return the joint angles (n, 3) rad in `trace` by the encoders of `plant`."""
+    return count_angles(trace.first_count + trace.count, plant)
+
+
+def count_angles(count: NDArray[np.int64], plant: PlantParameters) -> Array:
+    """Return the joint angles (n, 3) rad at encoder counts (n, 3), by the encoders of `plant`."""
+    encoders = plant.encoders
+    per_count = 2 * pi / encoders.counts_per_revolution
+    lower, upper = joint_travel(plant)
+    turned = np.unwrap(count, period=encoders.counts_per_revolution, axis=0)
+    angle = (turned + 0.5 - np.array(encoders.zero_count)) * (np.array(encoders.sign) * per_count)
+    turns = np.round((angle[0] - (lower + upper) / 2) / (2 * pi))
+    return np.asarray(angle - 2 * pi * turns)
+
+
 def slow_bounds(plant: PlantParameters, pressure: float) -> MotionBounds:
     """Return bounds at which no absorber takes more than half its rated energy, below `pressure` (Pa)."""
     lower, upper = joint_travel(plant)
@@ -147,48 +176,133 @@ def openings(known: RobotEstimate, joint: int, command: float, parked: Iterable[
     return a, b, c
 
 
-def move_to_stop(
+def towards_stop(
     machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side, parked: Iterable[int] = ()
-) -> StopMove:
-    """Move `joint` to its stop at `side`, joints `parked` held at their lower ones, and press it there.
+) -> MotionTrace:
+    """Move `joint` towards its stop at `side`, joints `parked` held at their lower ones.
+
+    The supply stays as it is: at a low one, friction may hold the joint before its stop.
+
+    Raises:
+        MachineFault: a bound was passed.
+    """
+    rested = Until("rested", joint, _RESTED)
+    ladder = tuple(
+        Segment(_LEVEL, _towards(known, joint, side, opening, parked), until=rested) for opening in _LADDER
+    )
+    return _moved(machine, known, joint, ladder, f"{JOINTS[joint]} to its {side} stop")
+
+
+def pressed_to_stop(
+    machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side, parked: Iterable[int] = ()
+) -> MotionTrace:
+    """Press `joint` to its stop at `side` by a supply of `PRESSING`, joints `parked` held at lower ones.
 
     Raises:
         MachineFault: a bound was passed, or the driving chamber does not fill.
     """
-    parked = [i for i in parked if i != joint]
-    name, chamber = JOINTS[joint], 2 * joint + (0 if side == "upper" else 1)
-
-    def at(opening: float) -> Triple:
-        return openings(known, joint, beyond(known, joint, side, opening), parked)
-
-    bounds = slow_bounds(known.plant, 1.2 * PRESSING)
-    rested = Until("rested", joint, _RESTED)
-    machine.set_supply(MOVING)
-    moving = machine.run(tuple(Segment(_LEVEL, at(x), until=rested) for x in _LADDER), bounds)
-    _require_own_encoder(moving, joint, known.plant)
-    require_within(moving, f"{name} to its {side} stop")
+    chamber = 2 * joint + (0 if side == "upper" else 1)
+    valve = _towards(known, joint, side, _LADDER[-1], parked)
+    fill = Segment(_FILLING, valve, until=Until("above", chamber, PRESSED))
+    rest = Segment(_LEVEL, valve, until=Until("rested", joint, _RESTED))
     machine.set_supply(PRESSING)
-    fill = Segment(_FILLING, at(_LADDER[-1]), until=Until("above", chamber, PRESSED))
-    pressing = machine.run((fill, Segment(_LEVEL, at(_LADDER[-1]), until=rested)), bounds)
-    _require_own_encoder(pressing, joint, known.plant)
-    require_within(pressing, f"{name} pressed to its {side} stop")
+    pressing = _moved(machine, known, joint, (fill, rest), f"{JOINTS[joint]} pressed to its {side} stop")
     if not pressing.ended[0]:
         reached = pressing.pressure[-1, chamber]
         raise MachineFault(
-            f"{name}, {CHAMBERS[chamber]}",
+            f"{JOINTS[joint]}, {CHAMBERS[chamber]}",
             f"fills to {1e-5 * reached:.2f} bar in {_FILLING:g} s at a supply of {1e-5 * PRESSING:.1f} bar",
             f"at least {1e-5 * PRESSED:.1f} bar",
             "Look for a leaking hose or fitting, a vent that stays open, or a valve that opens too little.",
         )
-    return StopMove(moving, pressing)
+    return pressing
 
 
-def fold(machine: CommissionedMachine, known: RobotEstimate) -> dict[str, StopMove]:
-    """Move all joints to their lower stops, the club first, and return the moves by name."""
-    done: dict[str, StopMove] = {}
-    for n, joint in enumerate(FOLD_ORDER):
-        done[f"{JOINTS[joint]} down"] = move_to_stop(machine, known, joint, "lower", FOLD_ORDER[:n])
-    return done
+def _towards(known: RobotEstimate, joint: int, side: Side, opening: float, parked: Iterable[int]) -> Triple:
+    """Return commands that open the valve of `joint` towards `side`; joints `parked` are held."""
+    return openings(known, joint, beyond(known, joint, side, opening), (i for i in parked if i != joint))
+
+
+def _moved(
+    machine: CommissionedMachine, known: RobotEstimate, joint: int, segments: tuple[Segment, ...], doing: str
+) -> MotionTrace:
+    """Return the trace of `segments`, which move `joint`.
+
+    Raises:
+        MachineFault: a bound was passed.
+    """
+    trace = machine.run(segments, slow_bounds(known.plant, 1.2 * PRESSING), doing)
+    _require_own_encoder(trace, joint, known.plant)
+    require_within(trace, doing)
+    return trace
+
+
+def move_to_stop(
+    machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side, parked: Iterable[int] = ()
+) -> StopMove:
+    """Move `joint` to its stop at `side` and press it there, at a supply of `PRESSING`.
+
+    Raises:
+        MachineFault: a bound was passed, or the driving chamber does not fill.
+    """
+    machine.set_supply(PRESSING)
+    moving = towards_stop(machine, known, joint, side, parked)
+    return StopMove(moving, pressed_to_stop(machine, known, joint, side, parked))
+
+
+def fold(machine: CommissionedMachine, known: RobotEstimate) -> None:
+    """Move all joints of the vented robot to their lower stops as `fold_gently`, then press them there.
+
+    Raises:
+        MachineFault: a bound was passed, a joint moves the wrong way, or a driving chamber does not fill.
+    """
+    fold_gently(machine, known)
+    for joint in FOLD_ORDER:
+        pressed_to_stop(machine, known, joint, "lower", FOLD_ORDER)
+
+
+def fold_gently(machine: CommissionedMachine, known: RobotEstimate) -> None:
+    """Move all joints of the vented robot to their lower stops at a supply of `MOVING`, the club first.
+
+    The guard may have been open: each joint answers at this supply, unless friction holds it.
+
+    Raises:
+        MachineFault: a bound was passed, a joint moves the wrong way, or a driving chamber does not fill.
+    """
+    moved = [
+        _move_gently(machine, known, joint, "lower", FOLD_ORDER[:n]) for n, joint in enumerate(FOLD_ORDER)
+    ]
+    for joint in (joint for joint, answered in zip(FOLD_ORDER, moved, strict=True) if not answered):
+        for side in SIDES:
+            _move_gently(machine, known, joint, side, FOLD_ORDER)
+
+
+def _move_gently(
+    machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side, parked: Iterable[int]
+) -> bool:
+    """Move `joint` to its stop at `side` at a supply of `MOVING`; press it there if friction holds it.
+
+    Return whether it moved.
+    """
+    machine.set_supply(MOVING)
+    trace = towards_stop(machine, known, joint, side, parked)
+    moved = _require_direction(trace, joint, side, known)
+    stop = joint_travel(known.plant)[SIDES[::-1].index(side)][joint]
+    if abs(joint_angles(trace, known.plant)[-1, joint] - stop) > _AT_STOP:
+        pressed_to_stop(machine, known, joint, side, parked)
+        machine.set_supply(MOVING)
+    return moved
+
+
+def _require_direction(trace: MotionTrace, joint: int, side: Side, known: RobotEstimate) -> bool:
+    """Return whether `joint` moved in `trace`; raise MachineFault if it did not move towards `side`."""
+    angle = joint_angles(trace, known.plant)[:, joint]
+    way = float(angle[-1] - angle[0]) * (1.0 if side == "upper" else -1.0)
+    if way < -_ANSWER:
+        found = f"turns by {-way:.2f} rad away from its {side} stop, by its encoder"
+        action = f"Valve, hoses or encoder of the {JOINTS[joint]} are reversed since step 1: check them."
+        raise MachineFault(JOINTS[joint], found, "a motion towards it", action)
+    return way > _ANSWER
 
 
 def at_both_stops(
@@ -196,15 +310,18 @@ def at_both_stops(
     known: RobotEstimate,
     trace: Callable[[CommissionedMachine, RobotEstimate, int, Side], MotionTrace],
 ) -> dict[str, MotionTrace]:
-    """Return a `trace` of each joint at either stop by name; the machine is vented before and afterwards."""
+    """Return a `trace` of each joint at either stop by name, at a supply of `MOVING`.
+
+    The machine is vented before and afterwards.
+    """
     machine.vent()
-    fold(machine, known)
+    fold_gently(machine, known)
     traces: dict[str, MotionTrace] = {}
     for joint in FOLD_ORDER[::-1]:
         traces[f"{JOINTS[joint]} lower"] = trace(machine, known, joint, "lower")
-        move_to_stop(machine, known, joint, "upper", FOLD_ORDER)
+        _move_gently(machine, known, joint, "upper", FOLD_ORDER)
         traces[f"{JOINTS[joint]} upper"] = trace(machine, known, joint, "upper")
-        move_to_stop(machine, known, joint, "lower", FOLD_ORDER)
+        _move_gently(machine, known, joint, "lower", FOLD_ORDER)
     machine.vent()
     return traces
 
@@ -268,7 +385,7 @@ def run_slowly(
     Raises:
         MachineFault: a bound was passed, `doing` that.
     """
-    trace = machine.run(segments, slow_bounds(known.plant, pressure))
+    trace = machine.run(segments, slow_bounds(known.plant, pressure), doing)
     require_within(trace, doing)
     return trace
 

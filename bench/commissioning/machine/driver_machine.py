@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from math import isfinite
 from typing import NamedTuple, Self
 
@@ -129,6 +128,8 @@ class DriverMachine:
         self._readings["chamber_pressure"] = self._readings["supply_pressure"] = ABSENT
         self._applied = Command()
         self._bounds: MotionBounds | None = None
+        self._dropped: Refused | None = None
+        """Error that made the machine passive between two motions since it was last vented."""
         driver.open()
         self._await_tick()
         self._began = self._stalled_at = self._now
@@ -158,12 +159,18 @@ class DriverMachine:
 
     def hold(self) -> None:
         """Repeat the last command for a tick; passive from then on if a bound is passed or readings fail."""
-        with suppress(Refused):  # the next sequence says why nothing moves
+        bounds, still, held = self._bounds, np.zeros(3), self._applied.supply_enable
+        try:
             self._applied = self._driver.write(self._applied)
-            self._next()
-            bounds, still = self._bounds, np.zeros(3)
-            if bounds is not None and bound_passed(bounds, self._speed(), still, self._pressure()):
+            self._next(stoppable=False)  # the next order is no stop
+            passed = None if bounds is None else bound_passed(bounds, self._speed(), still, self._pressure())
+            if passed:
                 self.make_passive()
+                action = "Look for a valve that moves by itself, or an encoder that jumps."
+                raise MachineFault("robot between two motions", passed.text, "rest", action)
+        except Refused as error:
+            if held:
+                self._dropped = error
 
     def vent(self, duration: float = 40.0) -> MotionTrace:
         """Be passive until chambers are empty and joints rest, for at most `duration` (s).
@@ -172,6 +179,7 @@ class DriverMachine:
             MachineFault: the chambers are not empty then.
         """
         self.make_passive()
+        self._dropped = None
         self._revive()
         most, look = round(duration / self._tick), round(_LOOK / self._tick)
         log = MotionLog(most, self._counts)
@@ -238,8 +246,15 @@ class DriverMachine:
         action = "Adjust its centre by the maker's manual, or look for a stuck spool."
         raise MachineFault(f"{joint} valve", f"{found} with the spools centred", "rest", action)
 
-    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
-        """Run `segments` with the supply on; afterwards the last openings stay in force."""
+    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds, doing: str = "") -> MotionTrace:
+        """Run `segments` with the supply on; afterwards the last openings stay in force.
+
+        Raises:
+            Refused: the machine may not move, or became passive since the last motion: its joints are no
+                longer where a step left them, and persons may have been at it. Venting begins anew.
+        """
+        if self._dropped is not None:
+            raise self._dropped
         if not self._applied.supply_enable:
             if not self._permitted:
                 raise without_press()
@@ -326,7 +341,7 @@ class DriverMachine:
             self._read()
         self._refuse_to_go_on()
 
-    def _next(self, *, interlocks: bool = True) -> None:
+    def _next(self, *, interlocks: bool = True, stoppable: bool = True) -> None:
         """Continue for one tick; open `interlocks` end it, or not.
 
         Raises:
@@ -340,7 +355,7 @@ class DriverMachine:
         self._failed = self._failed + 1 if fault.text else 0
         if fault.text and (fault.lasting or self._failed > _LOST):
             self._refuse_to_go_on()
-        if self._stop():
+        if stoppable and self._stop():
             self.make_passive()
             raise stopped_by_person(self._place, self._again)
 

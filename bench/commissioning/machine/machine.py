@@ -195,10 +195,10 @@ class CommissionedMachine(Protocol):
     def set_supply(self, pressure: float) -> None:
         """Set the pressure regulator to `pressure` (Pa absolute); infinite: as in service."""
 
-    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
+    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds, doing: str = "") -> MotionTrace:
         """Run `segments` with the supply on; afterwards the last openings stay in force.
 
-        The machine is passive after a bound was passed.
+        The machine is passive after a bound was passed. `doing` announces the motion to persons.
 
         Raises:
             Refused: emergency stop, guard or device end the work.

@@ -183,8 +183,10 @@ class LiveRobot:
         """Have the regulator turned to `pressure` (Pa absolute); infinite: as in service."""
         self._hands.regulator(pressure)
 
-    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
-        """Run `segments`; afterwards the last openings stay in force."""
+    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds, doing: str = "") -> MotionTrace:
+        """Run `segments`; afterwards the last openings stay in force. A line announces what is `doing`."""
+        if doing:
+            self._hands.say(f"Moves: {doing}.")
         return self._trace("run", segments, bounds)
 
     def watch(

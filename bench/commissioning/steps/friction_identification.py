@@ -20,7 +20,6 @@ from scipy.signal import savgol_filter
 
 from bench.commissioning.machine.commissioning_step import (
     FOLD_ORDER,
-    PRESSING,
     SIDES,
     CommissioningStep,
     MachineFault,
@@ -32,13 +31,13 @@ from bench.commissioning.machine.commissioning_step import (
     beyond,
     centres,
     fold,
+    joint_angles,
     openings,
     run_slowly,
 )
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from bench.commissioning.steps.pneumatic_identification import (
     VENT_TOLERANCE,
-    joint_angles,
     robust_errors,
     way_per_angle,
 )
@@ -105,7 +104,6 @@ def _measure_friction(machine: CommissionedMachine, known: RobotEstimate) -> Tra
     """Move each joint up and down slowly, with pauses; then read the supply's pressure in service."""
     machine.vent()
     fold(machine, known)
-    machine.set_supply(PRESSING)
     traces: dict[str, MotionTrace] = {}
     for i in FOLD_ORDER[::-1]:
         for opening in _OPENINGS:

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from bench.commissioning.machine.commissioning_step import (
-    MOVING,
     CommissioningStep,
     MachineFault,
     ParameterEstimate,
@@ -33,6 +32,7 @@ from bench.commissioning.machine.commissioning_step import (
     at_both_stops,
     beyond,
     centres,
+    joint_angles,
     openings,
     run_slowly,
 )
@@ -126,22 +126,6 @@ def chamber_flows(opening: Any, pressure: Any, supply: Any, vent: Any, values: A
             flow(edge_b, supply[k], pb, ratio) + across - flow(edge_a + vent[k], pb, atmosphere, ratio)
         )
     return out
-
-
-def joint_angles(trace: MotionTrace, plant: PlantParameters) -> Array:
-    """Return the joint angles (n, 3) rad in `trace` by the encoders of `plant`."""
-    return count_angles(trace.first_count + trace.count, plant)
-
-
-def count_angles(count: NDArray[np.int64], plant: PlantParameters) -> Array:
-    """Return the joint angles (n, 3) rad at encoder counts (n, 3), by the encoders of `plant`."""
-    encoders = plant.encoders
-    per_count = 2 * pi / encoders.counts_per_revolution
-    lower, upper = joint_travel(plant)
-    turned = np.unwrap(count, period=encoders.counts_per_revolution, axis=0)
-    angle = (turned + 0.5 - np.array(encoders.zero_count)) * (np.array(encoders.sign) * per_count)
-    turns = np.round((angle[0] - (lower + upper) / 2) / (2 * pi))
-    return np.asarray(angle - 2 * pi * turns)
 
 
 def cylinder_positions(angle: Array, joint: int, plant: PlantParameters) -> Array:
@@ -386,7 +370,6 @@ def _fill_and_decay(
 
     at = partial(openings, known, joint)
     closed = at(centres(known)[joint])
-    machine.set_supply(MOVING)
     return run_slowly(
         machine,
         known,

@@ -18,8 +18,6 @@ from scipy.signal import savgol_filter
 
 from bench.commissioning.machine.commissioning_step import (
     FOLD_ORDER,
-    MOVING,
-    PRESSING,
     CommissioningStep,
     MachineFault,
     ParameterEstimate,
@@ -29,6 +27,7 @@ from bench.commissioning.machine.commissioning_step import (
     beyond,
     centres,
     fold,
+    joint_angles,
     move_to_stop,
     openings,
     run_slowly,
@@ -43,7 +42,6 @@ from bench.commissioning.machine.machine import (
 )
 from bench.commissioning.steps.pneumatic_identification import (
     AirTrace,
-    joint_angles,
     nominal_values,
     robust_errors,
     spool_path,
@@ -84,12 +82,10 @@ def _measure(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
     fold(machine, known)
     traces: dict[str, MotionTrace] = {}
     for i, joint in enumerate(JOINTS):
-        machine.set_supply(MOVING)
         doing = f"{joint} valve stepped at its stop"
         traces[f"{joint} steps"] = run_slowly(machine, known, _pulses(known, i), doing)
     for i, joint in enumerate(JOINTS):
         for n, share in enumerate(_PUSHES):
-            machine.set_supply(PRESSING)
             push = _push(known, i, share)
             traces[f"{joint} coasting {n + 1}"] = run_slowly(machine, known, push, f"{joint} pushed")
             move_to_stop(machine, known, i, "lower", FOLD_ORDER)
@@ -134,7 +130,7 @@ def _estimate(traces: Traces, known: RobotEstimate) -> StepResult:
 RESPONSE = CommissioningStep(
     "response",
     "Frequency of the spools, latency of the encoders",
-    "steps of 0.15 for 60 ms at a stop; pushes over a third of the travel at 4.5 bar absolute",
+    "steps of 0.15 for 60 ms at a stop and pushes over a third of the travel, at 4.5 bar absolute",
     _measure,
     _estimate,
 )

@@ -37,11 +37,12 @@ from bench.commissioning.machine.commissioning_step import (
     at_both_stops,
     beyond,
     centres,
-    fold,
     move_to_stop,
     openings,
+    pressed_to_stop,
     run_slowly,
     swapped_encoders,
+    towards_stop,
 )
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
 from bench.commissioning.steps.pneumatic_identification import NAMES, fit_air, way_per_angle
@@ -69,6 +70,8 @@ _SUPPLY_SHARE = 0.8
 """Min share of the set gauge pressure."""
 _SCALE_TOLERANCE = 0.03
 """Max error of an encoder's travel, as a share, in addition to that of the geometry."""
+_FREE = 0.9
+"""Share of its travel that a joint moves at `MOVING` unless friction holds it."""
 _LENGTH = 2e-3
 """Tolerance of the robot's lengths, m."""
 _UNIFORM = 3**-0.5
@@ -94,15 +97,38 @@ def _measure_wiring(machine: CommissionedMachine, known: RobotEstimate) -> Trace
     machine.vent()
     known = RobotEstimate(known.plant)
     known.add(_valve_values(traces, known.plant))
-    moves = fold(machine, known)
+    _require_answers(machine, known)
+    for i in FOLD_ORDER:
+        pressed_to_stop(machine, known, i, "lower", FOLD_ORDER)
     for i in FOLD_ORDER[::-1]:
         for side, name in zip(SIDES, ("up", "back"), strict=True):
-            moves[f"{JOINTS[i]} {name}"] = move_to_stop(machine, known, i, side, FOLD_ORDER)
-        _require_travel(i, moves[f"{JOINTS[i]} up"], known.plant)
+            move = f"{JOINTS[i]} {name}"
+            traces[move], traces[f"{move}, pressed"] = move_to_stop(machine, known, i, side, FOLD_ORDER)
     machine.vent()
-    for move, both in moves.items():
-        traces[move], traces[f"{move}, pressed"] = both
     return traces
+
+
+def _require_answers(machine: CommissionedMachine, known: RobotEstimate) -> None:
+    """Fold the robot and move each joint up and back, at a supply of `MOVING` as far as friction lets it.
+
+    Raises:
+        MachineFault: a joint or another encoder than its own answers.
+    """
+    machine.set_supply(MOVING)
+    club, *others = FOLD_ORDER
+    towards_stop(machine, known, club, "lower")
+    pressed_to_stop(machine, known, club, "lower")  # no zero tells yet whether it is off the ground
+    machine.set_supply(MOVING)
+    for n, i in enumerate(others, 1):
+        towards_stop(machine, known, i, "lower", FOLD_ORDER[:n])
+    travel = np.ptp(np.array(joint_travel(known.plant)), axis=0)
+    for i in FOLD_ORDER[::-1]:
+        ways = [towards_stop(machine, known, i, side, FOLD_ORDER).count[-1] for side in SIDES]
+        seen = np.abs(ways)[:, i] * (2 * pi / known.plant.encoders.counts_per_revolution)
+        if seen.min() < _FREE * travel[i]:
+            ways = [move_to_stop(machine, known, i, side, FOLD_ORDER).way for side in SIDES]
+            machine.set_supply(MOVING)
+        _require_travel(i, ways[0], known.plant)
 
 
 def _vent_to_rest(machine: CommissionedMachine) -> MotionTrace:
@@ -127,7 +153,7 @@ def _estimate_wiring(traces: Traces, known: RobotEstimate) -> StepResult:
 WIRING = CommissioningStep(
     "wiring",
     "Wiring, signs, and scale of the encoders",
-    f"ramps at {1e-5 * FAINT:.1f} bar with open vents; moves at 3 bar, pressing at 4.5 bar absolute; "
+    f"ramps at {1e-5 * FAINT:.1f} bar with open vents; first moves at 3 bar, then 4.5 bar absolute; "
     "speeds at which no shock absorber takes more than half its rated energy",
     _measure_wiring,
     _estimate_wiring,
@@ -291,9 +317,9 @@ def stop_depths(trace: MotionTrace, joint: int, side: str, plant: PlantParameter
     return depth, float(np.hypot(0.15 * depth, friction))
 
 
-def _require_travel(joint: int, move: StopMove, plant: PlantParameters) -> None:
-    """Raise MachineFault unless the encoder of `joint`, and none else, saw its travel in `move`."""
-    way = np.abs(move.way) * (2 * pi / plant.encoders.counts_per_revolution)
+def _require_travel(joint: int, move: NDArray[np.int64], plant: PlantParameters) -> None:
+    """Raise MachineFault unless the encoder of `joint`, and none else, saw its travel in `move` (3,)."""
+    way = np.abs(move) * (2 * pi / plant.encoders.counts_per_revolution)
     lower, upper = joint_travel(plant)
     travel = (upper - lower)[joint]
     others = [j for j in range(3) if j != joint and way[j] > 0.5 * min(travel, (upper - lower)[j])]
@@ -317,7 +343,7 @@ def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[Parame
     for i, joint in enumerate(JOINTS):
         up = StopMove(traces[f"{joint} up"], traces[f"{joint} up, pressed"])
         back = StopMove(traces[f"{joint} back"], traces[f"{joint} back, pressed"])
-        _require_travel(i, up, plant)
+        _require_travel(i, up.way, plant)
         signs[i] = 1 if up.way[i] > 0 else -1
         (low, low_error), (high, high_error) = (
             stop_depths(trace, i, side, plant)
@@ -417,7 +443,6 @@ def _edge_ramp(machine: CommissionedMachine, known: RobotEstimate, joint: int, s
         return openings(known, joint, beyond(known, joint, side, opening))
 
     rest = openings(known, joint, centres(known)[joint])
-    machine.set_supply(MOVING)
     return run_slowly(
         machine,
         known,

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from bench.commissioning.machine.commissioning_step import count_angles
 from bench.commissioning.machine.machine import Array, at_rows
-from bench.commissioning.steps.pneumatic_identification import count_angles
 from drivers.base import CHAMBERS, JOINTS
 from drivers.base.compiled import compiled, new_record
 from drivers.base.records import COMMAND

@@ -49,6 +49,7 @@ from bench.commissioning.machine.commissioning_step import (
     Traces,
 )
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
+from bench.commissioning.machine.inputs import turned_once
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, Segment
 from bench.commissioning.steps.wiring import WIRING
 from bench.commissioning.swings.speed_ramp import bench_of
@@ -488,13 +489,21 @@ def test_wiring_step_wrong_machine_raises_fault(name: str) -> None:
 def test_commission_drawn_robot_errors_cover_true_values(
     tmp_path: Path, configuration: Configuration
 ) -> None:
-    truth = drawn_robot(3, configuration.plant)
+    truth, turns = drawn_robot(3, configuration.plant), list[float]()
     state = begin(tmp_path, configuration, simulated=True)
     with SimulatedMachine(truth, configuration.plant) as machine:
+        turn = machine.set_supply
+
+        def counted(pressure: float) -> None:
+            turns.append(pressure)
+            turn(pressure)
+
+        machine.set_supply = turned_once(counted)  # type: ignore[method-assign]
         known = commission(state, configuration.plant, machine)
         assert machine.loads.stop_share < 1.0
         assert machine.loads.lowest_clearance > -0.005
     assert len(state.done) == len(STEPS)
+    assert len(turns) <= 12, "by hand"
     off = []
     for key, found in known.found.items():
         gap = gap_of(found, truth)

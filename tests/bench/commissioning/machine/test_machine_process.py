@@ -159,6 +159,10 @@ def test_machine_server_hold_over_bound_makes_passive(server: MachineServer, dri
     for _ in range(3000):
         server.hold()
     assert driver.commands[-1] == PASSIVE
+    with pytest.raises(Refused, match=r"bound 2\.50 bar"):
+        server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
+    server.obey("vent")
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
 
 
 @pytest.mark.parametrize(("clear", "closed"), [(False, True), (True, False)])
@@ -175,7 +179,20 @@ def test_machine_server_hold_open_interlock_makes_passive(
             server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
         assert not driver.commands[-1].supply_enable
         surroundings.change(emergency_stop_clear=True, guard_closed=True)
+    with pytest.raises(Refused, match="--resume"):  # the step begins again, at low pressure
+        server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
+    assert not driver.commands[-1].supply_enable
+    server.obey("vent", 5.0)
     server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
+
+
+def test_machine_server_hold_with_order_waiting_keeps_valve_commands(
+    server: MachineServer, driver: WatchedDriver, asked: list[bool]
+) -> None:
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
+    asked.append(True)
+    server.hold()
+    assert driver.commands[-1].supply_enable
 
 
 def test_machine_server_hold_tolerates_encoder_loss_of_five_ticks(
