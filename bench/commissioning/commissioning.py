@@ -41,7 +41,7 @@ from bench.commissioning.machine.commissioning_step import (
     StepResult,
     Traces,
 )
-from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
+from bench.commissioning.machine.driver_machine import REPEATS, SimulatedMachine, Stalled
 from bench.commissioning.machine.inputs import OperatorIO, RegulatorNotTurned
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine.machine_process import LiveRobot
@@ -64,8 +64,6 @@ STATE_FILE, ROBOT_FILE, _LOCK_FILE = "commissioning.json", "robot.toml", "proces
 _VERSION = 2
 _DIGEST = "# as written by golfbench commission: "
 """Start of the last line of robot.toml, before the digest of the others."""
-_REPEATS = 9
-"""Max repetitions of a measuring step that a stall of the computer ended."""
 
 STEPS = (WIRING, VALVES, LEAKAGE, FRICTION, RESPONSE)
 """The steps that measure, in their order."""
@@ -463,8 +461,8 @@ def _measured(
                 permit()  # a long stall voids the permission
             return step.measure(machine, known), stalls
         except Stalled as stall:
-            if len(stalls) == _REPEATS:
-                found = f"{stall.found}; it was repeated {_REPEATS} times"
+            if len(stalls) == REPEATS:
+                found = f"{stall.found}; it was repeated {REPEATS} times"
                 raise Stalled(stall.location, found, stall.expected, stall.action) from None
             stalls = (*stalls, f"repeated: {stall.found}")
             progress(f"{step.title}: {stalls[-1]}")

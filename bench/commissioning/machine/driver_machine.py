@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from math import isfinite
+from math import inf, isfinite
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -63,6 +63,14 @@ _RESUME = "continue with --resume."
 
 class Stalled(Refused):
     """A stall of the computer ended a motion; its step can be repeated."""
+
+
+class LongStall(Stalled):
+    """A stall in which persons may have been at the machine."""
+
+
+REPEATS = 9
+"""Max repetitions of what a stall of the computer ended."""
 
 
 class StoppedByPerson(Refused):
@@ -120,8 +128,8 @@ class DriverMachine:
         self._place = "check of the inputs" if inputs_only else "commission"
         self._again = "begin again." if inputs_only else _RESUME
         self._local_reset, self._reset_was_low, self._permitted = local_reset, False, not local_reset
-        self._stall, self._stalled_at = "", 0.0
-        """The last stall in words, and its end (s)."""
+        self._stall, self._stalled_at, self._long_stall = "", 0.0, False
+        """The last stall in words, its end (s), and whether a guard may have been opened and shut in it."""
         self._seen = deque[tuple[NDArray[np.int64], Array]](maxlen=_SPEED_SPAN + 1)
         """Counts (3,) and times of the samples (3,), s, of the last ticks."""
         self._readings = new_record(READINGS)
@@ -213,6 +221,8 @@ class DriverMachine:
             MachineFault: a joint moves with air on and the guard closed; one of a robot that is to be
                 measured, whose spools may be off their centres, faster than `ADRIFT` allows.
         """
+        if not self._driver.operational:
+            self._revive(interlocks=False)
         begun = changed = self._now
         last, start = None if before is None else levels(before), self._seen[-1][0]
         while True:
@@ -316,30 +326,34 @@ class DriverMachine:
             self._driver.write(Command(beacon=True))
             self._next()
 
-    def _revive(self) -> None:
+    def _revive(self, *, interlocks: bool = True) -> None:
         """Open a device again that went passive by its watchdog; wait for readings lost in a stall."""
         if not self._driver.operational:
             self._driver.close()
             self._driver.open()
+            self._read()
         elif not self._fault.text:
             return
-        self._await_readings()
+        self._await_readings(interlocks=interlocks)
 
-    def _await_readings(self) -> None:
-        """Send the passive command until the machine may move.
+    def _await_readings(self, *, interlocks: bool = True) -> None:
+        """Send the passive command until the machine may move, with open `interlocks` until it reads.
 
         Raises:
+            Stalled: a stall of the computer explains why it may not.
             Refused: it may not, and what to do.
         """
+        begun = self._now
         for _ in range(round(_READY / self._tick)):
-            fault = self._device_failure() if self._inputs_only else self._fault
-            if not fault.text:
+            if self._inputs_only or not interlocks:
+                self._fault = self._device_failure()
+            if not self._fault.text:
                 self._failed = 0
                 return
             self._driver.write(PASSIVE)
             self._await_tick()
             self._read()
-        self._refuse_to_go_on()
+        self._refuse_to_go_on(begun)
 
     def _next(self, *, interlocks: bool = True, stoppable: bool = True) -> None:
         """Continue for one tick; open `interlocks` end it, or not.
@@ -365,8 +379,8 @@ class DriverMachine:
         if self._now - before > _STALL * self._tick:
             duration = f"{1e3 * (self._now - before):.0f} ms"
             self._stall = f"this program stood still for {duration}, a stall of the computer"
-            self._stalled_at = self._now
-            if self._now - before > _UNWATCHED:  # the guard may have been opened and shut meanwhile
+            self._stalled_at, self._long_stall = self._now, self._now - before > _UNWATCHED
+            if self._long_stall:  # the guard may have been opened and shut meanwhile
                 self._permitted = not self._local_reset
 
     def _read(self) -> None:
@@ -401,8 +415,8 @@ class DriverMachine:
         change = (self._seen[-1][0] - start + half) % self._counts - half
         return np.asarray(change * (2 * np.pi / self._counts))
 
-    def _refuse_to_go_on(self) -> None:
-        """Make the machine passive.
+    def _refuse_to_go_on(self, since: float = inf) -> None:
+        """Make the machine passive; a stall after `since` (s), or one just now, explains a failed device.
 
         Raises:
             Stalled: a stall of the computer explains it.
@@ -410,15 +424,17 @@ class DriverMachine:
         """
         self.make_passive()
         expected, text, action = "a machine that reads and may move", self._fault.text, self._fault.action
-        if self._fault.of_device and self._stall and self._now - self._stalled_at < _STALL_FELT:
+        if self._fault.of_device and self._stall and self._stalled_at >= min(since, self._now) - _STALL_FELT:
             text = f"{text}, after {self._stall}"
             action = f"End other programs, look at the bus, see golfbench doctor, then {self._again}"
-            raise Stalled(self._place, text, expected, action)
+            raise (LongStall if self._long_stall else Stalled)(self._place, text, expected, action)
         raise Refused(self._place, text, expected, action)
 
     def _problem(self) -> _Fault:
         """Return why the machine may not move."""
         r = self._readings[0]
+        if not self._driver.operational:  # its inputs may read low
+            return self._device_failure()
         if not r["emergency_stop_clear"]:
             return _Fault("the emergency stop is pressed", f"Clear it, then {_RESUME}", True)
         if not (r["guard_closed"] and r["guard_locked"]):

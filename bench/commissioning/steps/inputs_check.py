@@ -9,14 +9,13 @@ measured robot rests meanwhile; an unmeasured one may drift, as a spool may be o
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 from math import inf, isfinite, isnan
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import REFUSAL_WORDS, Refusal
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.commissioning_step import MachineFault, NamedStep
-from bench.commissioning.machine.driver_machine import SimulatedMachine
+from bench.commissioning.machine.driver_machine import REPEATS, LongStall, SimulatedMachine, Stalled
 from bench.commissioning.machine.inputs import (
     ACTS,
     INSIDE,
@@ -31,7 +30,7 @@ from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.config import Configuration
 from bench.control.settings import holding_pressure, zero_tolerance
-from drivers.base import CHAMBERS, Command, Readings
+from drivers.base import CHAMBERS, PASSIVE, Command, Readings
 from sim.plant import PlantParameters
 
 PRESSURES = (2.5e5, 4.0e5)
@@ -124,29 +123,63 @@ def _watched(
     done: tuple[Stage, ...],
     progress: Callable[[str], None],
 ) -> list[Readings]:
-    """Return the readings at the end of each stage, up to the first that has the guard released over air."""
-    supply = c.plant.supply
-    settled = _SETTLED + max(supply.vent_delay, supply.shut_off_delay)
-    seen, air = list[Readings](), supply.atmosphere + _EMPTY
-    for previous, stage in pairwise((done[0], *done)):
+    """Return the readings at the end of each stage, up to the first that has the guard released over air.
+
+    A stall of the computer repeats a stage; those before it count, as the inputs were unwatched but for a
+    moment. After a long stall the check begins again, by a person.
+    """
+    seen, stalls, stalled = list[Readings](), 0, False
+    while len(seen) < len(done):
+        stage, previous = done[len(seen)], done[max(len(seen) - 1, 0)]
         timeout = hands.timeout
-        if not stage.outputs.guard_lock:
-            if _holds_air(seen[-1], c.plant):
-                break
-            shown = (seen[-1].supply_pressure, *seen[-1].chamber_pressure)
-            if previous.outputs.guard_lock and not all(map(isfinite, shown)):
-                hands.confirm(_UNSEEN)
-            timeout *= INSIDE
-        progress(stage.name)
-        if stage.act:
-            hands.act(ACTS[stage.act])
-        before = seen[-1] if stage.act else None
-        seen.append(machine.watch(stage.outputs, before, air, settled, timeout + settled))
-        if isfinite(seen[-1].supply_pressure) and seen[-1].supply_pressure > air:
-            found = f"{1e-5 * seen[-1].supply_pressure:.2f} bar absolute in the manifold"
-            action = "Turn the regulator down until its gauge shows 0, and begin again."
-            raise _refused(found, "none, with the regulator turned down", action)
+        try:
+            if not stage.outputs.guard_lock:
+                # Air may have come in a stall.
+                now = _watch(machine, c, PASSIVE, None, timeout) if stalled else seen[-1]
+                if _holds_air(now, c.plant):
+                    return [*seen[:-1], now]
+                if stalled or previous.outputs.guard_lock:
+                    _require_gauges(now, hands)
+                timeout *= INSIDE
+            progress(stage.name)
+            if stage.act:
+                hands.act(ACTS[stage.act])
+            seen.append(_watch(machine, c, stage.outputs, seen[-1] if stage.act else None, timeout))
+            stalled = False
+        except Stalled as stall:
+            stalls, stalled = stalls + 1, True
+            if stalls > REPEATS or isinstance(stall, LongStall):
+                raise
+            hands.say(f"{stall.found}. Repeated: {stage.name}; the {len(seen)} parts before it count.")
     return seen
+
+
+def _require_gauges(readings: Readings, hands: OperatorIO) -> None:
+    """Have the gauges read where a sensor in `readings` shows no pressure."""
+    if not all(map(isfinite, (readings.supply_pressure, *readings.chamber_pressure))):
+        hands.confirm(_UNSEEN)
+
+
+def _watch(
+    machine: SimulatedMachine | LiveRobot,
+    c: Configuration,
+    outputs: Command,
+    before: Readings | None,
+    timeout: float,
+) -> Readings:
+    """Return the readings with `outputs` once they differ from `before`, if given, or after `timeout` (s).
+
+    Raises:
+        Refused: the manifold holds air, or the device fails.
+    """
+    supply = c.plant.supply
+    settled, air = _SETTLED + max(supply.vent_delay, supply.shut_off_delay), supply.atmosphere + _EMPTY
+    readings = machine.watch(outputs, before, air, settled, timeout + settled)
+    if isfinite(readings.supply_pressure) and readings.supply_pressure > air:
+        found = f"{1e-5 * readings.supply_pressure:.2f} bar absolute in the manifold"
+        action = "Turn the regulator down until its gauge shows 0, and begin again."
+        raise _refused(found, "none, with the regulator turned down", action)
+    return readings
 
 
 def _holds_air(readings: Readings, plant: PlantParameters) -> bool:
@@ -182,15 +215,10 @@ def _beside_the_gauge(
     machine: SimulatedMachine | LiveRobot, hands: OperatorIO, gauge: Callable[[], float], c: Configuration
 ) -> tuple[float, list[MachineFault]]:
     """Return the largest deviation of the supply's sensor from the gauge (Pa), and findings."""
-    a, b, d = (actuator.valve.centre for actuator in c.plant.actuators)
-    on = Command(valve=(a, b, d), supply_enable=True, beacon=True)
     atmosphere, worst = c.plant.supply.atmosphere, 0.0
     findings = list[MachineFault]()
     for pressure in PRESSURES:
-        hands.regulator(pressure)
-        await_local_reset(machine, hands)
-        machine.watch(_WARNING, None, inf, c.lifecycle.warning_time, c.lifecycle.warning_time)
-        readings = machine.watch(on, None, inf, _FILLED, _FILLED)
+        readings = _at_pressure(machine, hands, c, pressure)
         if not (readings.guard_closed and readings.guard_locked and machine.may_move()):
             action = "Close the guard, release the emergency stop, and begin again."
             raise _refused("the guard or the emergency stop", "closed, and clear", action)
@@ -212,3 +240,22 @@ def _beside_the_gauge(
             )
         worst = off if isfinite(off) and abs(off) > abs(worst) else worst
     return worst, findings
+
+
+def _at_pressure(
+    machine: SimulatedMachine | LiveRobot, hands: OperatorIO, c: Configuration, pressure: float
+) -> Readings:
+    """Return the readings with the manifold filled to `pressure` (Pa absolute), again after a stall."""
+    a, b, d = (actuator.valve.centre for actuator in c.plant.actuators)
+    on = Command(valve=(a, b, d), supply_enable=True, beacon=True)
+    hands.regulator(pressure)
+    for left in reversed(range(REPEATS + 1)):
+        try:
+            await_local_reset(machine, hands)
+            machine.watch(_WARNING, None, inf, c.lifecycle.warning_time, c.lifecycle.warning_time)
+            return machine.watch(on, None, inf, _FILLED, _FILLED)
+        except Stalled as stall:
+            if not left or isinstance(stall, LongStall):
+                raise
+            hands.say(f"{stall.found}. Repeated: supply sensor against its gauge; all inputs count.")
+    raise AssertionError("unreachable")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import Refused
-from bench.commissioning.machine.driver_machine import DriverMachine, Stalled
+from bench.commissioning.machine.driver_machine import DriverMachine, LongStall, Stalled
 from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
 from drivers.base import INVALID
 from sim.driver import SimDriver
@@ -68,6 +69,43 @@ def test_driver_machine_passive_driver_reports_earlier_stall(
         assert type(refused.value) is error
         assert re.search(found, refused.value.found)
         assert action in refused.value.action
+
+
+class ReopenedDriver(FaultyDriver):
+    """Goes passive again whenever it is opened, but for the last of `opened` times."""
+
+    opened = 0
+
+    def open(self) -> None:
+        super().open()
+        self.fault = self.fault if self.opened else ""
+        self.opened -= 1
+
+
+@pytest.mark.parametrize("inputs", ["read", "low"])
+def test_driver_machine_device_late_while_it_is_reopened_reports_stall(inputs: str) -> None:
+    """Three seconds pass between the stall and the refusal; inputs of a passive device may read low."""
+    driver = ReopenedDriver(build_plant(PLANT))
+    with DriverMachine(driver, PLANT, JumpingClock(driver, 0.06)) as machine:  # type: ignore[arg-type]
+        driver.opened = 1
+        with pytest.raises(Stalled):
+            machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
+        driver.plant_state["guard_closed"] = inputs == "read"
+        with pytest.raises(Stalled, match="passive: node 10"):
+            machine.vent()
+        driver.plant_state["guard_closed"] = True
+        machine.vent()
+
+
+@pytest.mark.parametrize(("stall", "error"), [(0.5, Stalled), (5.0, LongStall)])
+def test_driver_machine_stall_reports_whether_guard_may_have_been_open(
+    stall: float, error: type[Refused]
+) -> None:
+    driver = FaultyDriver(build_plant(PLANT))
+    with DriverMachine(driver, PLANT, JumpingClock(driver, stall)) as machine:  # type: ignore[arg-type]
+        with pytest.raises(Stalled) as stalled:
+            machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
+        assert type(pickle.loads(pickle.dumps(stalled.value))) is error  # noqa: S301
 
 
 @pytest.mark.parametrize(("stall", "permitted"), [(0.5, True), (600.0, False)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import combinations, product
@@ -20,7 +20,7 @@ from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_di
 from bench.commands.cli import main
 from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.machine.commissioning_step import MachineFault
-from bench.commissioning.machine.driver_machine import SimulatedMachine
+from bench.commissioning.machine.driver_machine import LongStall, SimulatedMachine, Stalled
 from bench.commissioning.machine.inputs import ACTS, INPUTS, Act, await_local_reset, fitted, judged, stages
 from bench.commissioning.machine.machine import ADRIFT, Segment
 from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs, off_at_rest
@@ -241,6 +241,72 @@ def test_check_inputs_spool_offsets_give_no_finding(wired: Configuration, seed: 
     assert findings == []
     assert loads.stop_share < 0.6
     assert loads.lowest_clearance > 0.0
+
+
+def stalling(
+    machine: SimulatedMachine, monkeypatch: pytest.MonkeyPatch, at: Sequence[int], error: type[Stalled]
+) -> list[Command]:
+    """Have the watches of `machine` with the numbers `at` end by a stall; return the commands of all."""
+    watch, commands = machine.watch, list[Command]()
+
+    def watched(command: Command, *given: Any) -> Readings:
+        commands.append(command)
+        readings = watch(command, *given)
+        if len(commands) - 1 in at:
+            machine.make_passive()
+            raise error("check of the inputs", "the device went passive", "a machine that reads", "End it.")
+        return readings
+
+    monkeypatch.setattr(machine, "watch", watched)
+    return commands
+
+
+def test_check_inputs_stall_repeats_one_stage_each(
+    wired: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The act was done before the stall; the levels seen before it count."""
+    acts, said = list[str](), list[str]()
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        own = machine.hands
+        commands = stalling(machine, monkeypatch, (2, 9, 13, 21), Stalled)
+
+        def act(one: Act) -> None:
+            acts.append(one.key)
+            own.act(one)
+
+        seen, findings = check_inputs(machine, own._replace(act=act, say=said.append), wired)
+    assert (findings, seen.seen) == ([], ALL)
+    # Before the guard is released again the chambers are seen to be empty.
+    assert commands[10] == commands[14] == PASSIVE
+    assert len(commands) == len(STAGES) + 1 + 2 + 2 + 2 * len(PRESSURES) + 2
+    assert [acts.count(key) for key in ("press-stop", "release-stop")] == [2, 1]
+    repeated = [text.partition("Repeated: ")[2] for text in said if "Repeated" in text]
+    assert repeated[0] == "emergency stop pressed; the 2 parts before it count."
+
+
+def test_check_inputs_long_stall_ends_check(wired: Configuration, monkeypatch: pytest.MonkeyPatch) -> None:
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        commands = stalling(machine, monkeypatch, (4,), LongStall)
+        with pytest.raises(LongStall):
+            check_inputs(machine, machine.hands, wired)
+    assert len(commands) == 5
+
+
+def test_check_inputs_air_after_stall_keeps_guard_locked(
+    wired: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clogged = broken("right arm A exhaust", "scale", 0.0)
+    with SimulatedMachine(wired.plant, wired.plant, (clogged,), inputs_only=True) as machine:
+        commands = stalling(machine, monkeypatch, (10,), Stalled)
+
+        def say(text: str) -> None:
+            if "Repeated" in text:
+                machine.driver.plant_state["pressure"][0, CHAMBERS.index("right arm A")] = 1.5e5
+
+        findings = check_inputs(machine, machine.hands._replace(say=say), wired)[1]
+    released = [number for number, command in enumerate(commands) if not command.guard_lock]
+    assert max(released) <= 10
+    assert findings
 
 
 class _Acted(Exception):
