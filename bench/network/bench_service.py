@@ -15,6 +15,10 @@ from drivers.base.ranges import Count
 STATUS_VERSION = 1
 
 
+BAR_HOMING = frozenset({Block.INPUTS, Block.UNREADABLE})
+"""Reasons that block homing, too."""
+
+
 class ArmingBlock(TypedDict):
     """A reason that blocks arming, in the parts of an error message."""
 

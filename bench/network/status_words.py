@@ -7,8 +7,14 @@ from math import ceil
 from typing import NamedTuple
 
 from bench.base.errors import BenchError
-from bench.base.lifecycle import Phase, Reaction, State
-from bench.network.bench_service import ArmingBlock, BenchStatus, LaunchMonitorStatus, MonitorStatus
+from bench.base.lifecycle import Block, Phase, Reaction, State
+from bench.network.bench_service import (
+    BAR_HOMING,
+    ArmingBlock,
+    BenchStatus,
+    LaunchMonitorStatus,
+    MonitorStatus,
+)
 
 STATE_WORDS = {
     State.STARTING: ("Not ready yet", "Wait until the bench has started."),
@@ -53,6 +59,12 @@ VENTING_WORDS = {
 ARMING_BLOCKED = "Remove what blocks arming, then arm; or open the access."
 """Next step of a bench that configuration, calibrations or profile keep from being armed."""
 
+HOMING_BLOCKED = "Remove what blocks homing, then home the robot."
+"""Next step of a bench whose inputs or calibrations keep it from being homed."""
+
+CHECK_INPUTS = "golfbench calibrate inputs, once golfbench run has ended"
+"""Command of a check of the inputs, which takes the bench's place."""
+
 NO_BALL = "No ball is on the tee: raise one with Tee, or swing without."
 """Hint before the next step of an armed bench."""
 
@@ -89,6 +101,8 @@ def next_step(status: BenchStatus) -> str:
     following = _words_of(status)[1]
     if status["state"] == State.READY.name and status["arming_blocks"]:
         return ARMING_BLOCKED
+    if _homing_blocks(status):
+        return HOMING_BLOCKED
     armed_without_ball = status["state"] == State.ARMED.name and not status["ball_present"]
     return f"{NO_BALL} {following}" if armed_without_ball else following
 
@@ -97,9 +111,17 @@ def next_command(status: BenchStatus) -> str:
     """Return the command of the next step."""
     if status["state"] == State.READY.name and status["arming_blocks"]:
         return "golfbench status"
+    if blocks := _homing_blocks(status):
+        return CHECK_INPUTS if Block.INPUTS in blocks else "golfbench status"
     if status["state"] == State.ARMED.name and not status["ball_present"]:
         return "golfbench tee, or golfbench swing without a ball"
     return COMMANDS[State[status["state"]]]
+
+
+def _homing_blocks(status: BenchStatus) -> set[Block]:
+    """Return what keeps a robot in SAFE from being homed."""
+    safe = status["state"] == State.SAFE.name
+    return {block["code"] for block in status["arming_blocks"] if safe} & BAR_HOMING
 
 
 def state_line(status: BenchStatus) -> str:

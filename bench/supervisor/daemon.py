@@ -37,6 +37,7 @@ from bench.config import Configuration
 from bench.design.static_checks import beyond_range
 from bench.loop.snapshot import SNAPSHOT
 from bench.network.bench_service import (
+    BAR_HOMING,
     ArmingBlock,
     BenchStatus,
     CommandAnswer,
@@ -84,7 +85,6 @@ from drivers.launch_monitor.open_connect import club_code
 
 _log = logging.getLogger("golfbench")
 
-_BAR_HOMING = frozenset({Block.INPUTS, Block.UNREADABLE})
 """Blocks that bar homing too: no interlock is verified."""
 _TURN = 0.01
 """Period of the supervisor, s."""
@@ -172,7 +172,7 @@ class Daemon:
         """
         if request in (Request.ARM, Request.HOME):
             self._blocks = self._assess_again()
-            barred = set(Block) if request is Request.ARM else _BAR_HOMING
+            barred = set(Block) if request is Request.ARM else BAR_HOMING
             if blocks := [block for block in self._blocks if block["code"] in barred]:
                 word = "arming" if request is Request.ARM else "homing"
                 fact = f"{word} blocked: {'; '.join(map(block_text, blocks))}"

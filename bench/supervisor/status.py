@@ -67,7 +67,9 @@ def stall_note(
     by that time: over a bus it is taken at the tick, of a polled encoder up to a tick earlier.
     """
     if cause is Cause.DEVICE_PASSIVE:
-        return fault
+        gap = float(cycles["measured_step"][-BEFORE:].max()) if len(cycles) else 0.0
+        late = fault and gap - period >= encoder_timeout / 2  # the node missed this loop
+        return f"{fault}, after {_stood_still(gap)}" if late else fault
     homing = cause is Cause.HOMING_FAILED
     if not (homing or cause in _ENCODERS + _JUMPS):
         return ""
@@ -85,10 +87,7 @@ def stall_note(
     gap = float(last["measured_step"][-span:].max())
     if gap - period >= least:
         when = "while homing" if homing else "just before"
-        return (
-            f"the loop stood still for {1e3 * gap:.1f} ms {when}, a stall of this machine: run "
-            'golfbench doctor; the simulated robot of driver "sim" waits for the loop'
-        )
+        return f'{_stood_still(gap, when)}; the simulated robot of driver "sim" waits for the loop'
     if fault and not jump:
         return fault
     if late[-span if jump else -2 :].any():
@@ -167,6 +166,12 @@ def status_of(newest: Cycles | None, stall: str, disarmed: Cause, **beside: Any)
         **beside,
     }
     return cast(BenchStatus, status)
+
+
+def _stood_still(gap: float, when: str = "just before") -> str:
+    return (
+        f"the loop stood still for {1e3 * gap:.1f} ms {when}, a stall of this machine: run golfbench doctor"
+    )
 
 
 def cause_text(cause: Cause, stall: str) -> str:

@@ -66,6 +66,14 @@ _MIN_COAST_SPEED = 0.05
 """Mean speed below which a coasting joint says nothing about its encoder (rad/s)."""
 _MAX_LATENCY = 0.005
 """Max latency of an encoder (s)."""
+_CERTAIN = 3.0
+"""Standard errors by which a latency is beyond its bound."""
+_IMPOSSIBLE = (
+    "an encoder cannot be read before its motion; its latency is taken as 0. The pressures were later while "
+    "the joints coasted than during the steps: a busy bus, or a filter of the pressure sensors. Compare "
+    "canopen.pressure_ticks and the sensors' filters, relieve the bus, then repeat the commissioning"
+)
+"""Finding of a latency below zero."""
 _MAX_DEAD_TIME = 0.010
 """Max dead time of a valve (s)."""
 _SUBSTEPS = 8
@@ -115,12 +123,15 @@ def _estimate(traces: Traces, known: RobotEstimate) -> StepResult:
                 if found is not None:
                     _require_quick(joint, *found)
                     latencies.append(found)
-                    notes.append(f"{name}: latency {1e3 * found[0]:.3f} ± {1e3 * found[1]:.3f} ms")
+                    notes.append(f"{name}: encoder {_behind(*found)} the pressures")
     dead, dead_error = _weighted(np.array(dead_times))
     notes.append(f"dead time from a command to its pressure: {1e3 * dead:.3f} ± {1e3 * dead_error:.3f} ms")
     if latencies:
         value, error = _weighted(np.array(latencies))
         value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _MIN_LATENCY_ERROR))
+        notes.append(f"encoders with that dead time: {_behind(value, error)} the motion")
+        if value < -_CERTAIN * error:
+            notes.append(_IMPOSSIBLE)
         values.append(ParameterEstimate("encoders.latency", max(value, 0.0), error, "s"))
     else:
         notes.append("no joint coasted: the encoders' latency stays a guess")
@@ -137,9 +148,14 @@ RESPONSE = CommissioningStep(
 """Step 5."""
 
 
+def _behind(delay: float, error: float) -> str:
+    """Return `delay` ± `error` (s) of a reading in words; pressures may be the later ones."""
+    return f"{1e3 * abs(delay):.3f} ± {1e3 * error:.3f} ms {'before' if delay < 0.0 else 'behind'}"
+
+
 def _require_quick(joint: str, latency: float, error: float) -> None:
     """Raise MachineFault if the encoder of `joint` lags by more than an encoder may."""
-    if latency - 3.0 * error > _MAX_LATENCY:
+    if latency - _CERTAIN * error > _MAX_LATENCY:
         found = f"{1e3 * latency:.1f} ms later than the pressures"
         action = "Check the encoder's cycle time and filters on the bus."
         raise MachineFault(f"{joint} encoder", found, f"at most {1e3 * _MAX_LATENCY:.0f} ms", action)

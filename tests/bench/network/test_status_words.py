@@ -4,8 +4,18 @@ from typing import Any, cast
 
 import pytest
 
+from bench.base.lifecycle import Block, State
 from bench.network.bench_service import BenchStatus, LaunchMonitorStatus, MonitorStatus
-from bench.network.status_words import absent_monitor_text, launch_monitor_text, warning_texts
+from bench.network.status_words import (
+    CHECK_INPUTS,
+    COMMANDS,
+    HOMING_BLOCKED,
+    absent_monitor_text,
+    launch_monitor_text,
+    next_command,
+    next_step,
+    warning_texts,
+)
 from bench.supervisor.status import NO_LAUNCH_MONITOR
 from tests.bench.fake_bench_service import FakeDesk
 
@@ -38,3 +48,18 @@ def test_warning_texts_wear_finding_has_date_and_action() -> None:
     finding = {"part": "wrist valve", "text": text, "time_utc": "2026-01-02T03:04:05+00:00"}
     status = cast(BenchStatus, {**FakeDesk().status(), "wear": [finding]})
     assert f"wear seen 2026-01-02, {text}" in warning_texts(status)
+
+
+@pytest.mark.parametrize(
+    ("code", "command"),
+    [
+        (Block.INPUTS, CHECK_INPUTS),
+        (Block.UNREADABLE, "golfbench status"),
+        (Block.CALIBRATION_EXPIRED, COMMANDS[State.SAFE]),
+    ],
+)
+def test_next_command_in_safe_leads_to_what_blocks_homing(code: Block, command: str) -> None:
+    block = {"code": code, "location": "inputs", "found": "never", "expected": "one", "action": "check"}
+    status = cast(BenchStatus, {**FakeDesk(State.SAFE).status(), "arming_blocks": [block]})
+    assert next_command(status) == command
+    assert (next_step(status) == HOMING_BLOCKED) is (command != COMMANDS[State.SAFE])

@@ -118,6 +118,16 @@ def test_stall_note_device_fault_takes_precedence() -> None:
     assert stall_note(cycles, Cause.GUARD, LOST_TIME, PERIOD, fault) == ""
 
 
+def test_stall_note_passive_device_after_late_loop_reports_stall() -> None:
+    """A node whose timer has expired reports an error of its own: 8130h."""
+    cycles, fault = records(), "node 13 reports error 8130h, register 11h"
+    assert stall_note(cycles, Cause.DEVICE_PASSIVE, LOST_TIME, PERIOD, fault) == fault
+    cycles["measured_step"][-3] = 0.061
+    text = stall_note(cycles, Cause.DEVICE_PASSIVE, LOST_TIME, PERIOD, fault)
+    assert text.startswith(f"{fault}, after the loop stood still for 61.0 ms")
+    assert stall_note(cycles, Cause.DEVICE_PASSIVE, LOST_TIME, PERIOD) == ""
+
+
 def test_refusal_words_device_fault_takes_precedence() -> None:
     fault = "another master has commanded node 1"
     assert refusal_words(Refusal.READINGS, fault, 0) == ("an encoder yields no valid readings", fault)

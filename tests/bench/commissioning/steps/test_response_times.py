@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ import pytest
 from bench.commissioning.machine.commissioning_step import MOVING, PRESSING, RobotEstimate, fold, slow_bounds
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.machine import MotionTrace
-from bench.commissioning.steps.response_times import _pulses, fit_spool
+from bench.commissioning.steps.response_times import _IMPOSSIBLE, RESPONSE, _pulses, fit_spool
+from drivers.base import JOINTS
 from sim.plant import PlantParameters
 
 WRIST = 2
@@ -54,3 +56,23 @@ def test_fit_spool_separates_dead_time_from_natural_frequency(
     truth = plant.wrist.valve.natural_frequency
     assert abs(frequency - truth) < max(0.01 * truth, 3.0 * error)
     assert found == pytest.approx(dead_time, abs=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("late", "latency", "impossible"), [(0.001, 0.0016, False), (-0.0016, 0.0, False), (-0.0019, 0.0, True)]
+)
+def test_response_step_latency_before_pressures_is_no_latency(
+    monkeypatch: pytest.MonkeyPatch, late: float, latency: float, impossible: bool
+) -> None:
+    """Pressures that a bus brings later show the motion after the encoder does."""
+    place = "bench.commissioning.steps.response_times"
+    monkeypatch.setattr(f"{place}.fit_spool", lambda *_: ((600.0, 1.0), (0.0006, 1e-5)))
+    monkeypatch.setattr(f"{place}.fit_latency", lambda *_: (late, 4e-4))
+    names = [f"{joint} steps" for joint in JOINTS]
+    traces: dict[str, Any] = dict.fromkeys([*names, "arm coasting 1"])
+    values, notes = RESPONSE.estimate(traces, RobotEstimate(PlantParameters()))
+    found = {value.key: value.value for value in values}
+    assert found["encoders.latency"] == pytest.approx(latency)
+    assert (_IMPOSSIBLE in notes) is impossible
+    side = "before" if late < 0.0 else "behind"
+    assert f"arm coasting 1: encoder {1e3 * abs(late):.3f} ± 0.400 ms {side} the pressures" in notes
