@@ -176,6 +176,8 @@ class LiveShots(ShotSource):
         self._supply_shut = not entry.simulated
         """Whether a person may have shut the supply for the access; unknown if an earlier run granted it."""
         self._before_arming = ""
+        self._first: Step | None = None
+        """First step of this run, once it was checked for hindrances."""
         self._short = ""
         """Shortage of the supply since the last swing or `rest`; empty without one."""
         self._resume = f"golfbench campaign resume {entry.id}"
@@ -201,15 +203,19 @@ class LiveShots(ShotSource):
         """Return the hindrance of a missing launch monitor or of too low a supply pressure, if any."""
         with _suspending():
             status = self._client.status()
-        return self._unseen(status) or self._short_of_air(step, status)
+        return self._unseen(step, status) or self._short_of_air(step, status)
 
-    def _unseen(self, status: BenchStatus) -> BlockingCondition | None:
+    def _unseen(self, step: Step, status: BenchStatus) -> BlockingCondition | None:
         if not self._monitored:
             return None
         if (link := status["launch_monitor"]) is None:
             raise Suspended("the bench restarted without its launch monitor, [launch_monitor] enabled")
+        self._first = self._first or step
+        # One that connects per shot is seen again only by a shot: it has the first one of each run.
+        if link["present"] or (link["presence"] == "per_shot" and step is self._first and not link["note"]):
+            return None
         note = f": {link['note']}" if link["note"] else ""
-        return None if link["present"] else BlockingCondition(f"{absent_monitor_text(link)}{note}")
+        return BlockingCondition(f"{absent_monitor_text(link)}{note}")
 
     def _short_of_air(self, step: Step, status: BenchStatus) -> BlockingCondition | None:
         """Check the supply pressure, at the address only: otherwise its manifold is empty.

@@ -126,8 +126,8 @@ def machine_refusals(plan: CampaignPlan, measured: Measured, *, monitored: bool)
             f"{location}: analysis.quantity",
             plan.analysis.quantity,
             "club_speed_mps",
-            "This bench measures the club only: ball data need a launch monitor, [launch_monitor] "
-            "enabled = true.",
+            "This bench measures the club only: compare that by analysis.quantity, or for ball data connect "
+            "a launch monitor, in the bench's configuration [launch_monitor] enabled = true.",
         )
     try:
         require_carry(plan, measured)

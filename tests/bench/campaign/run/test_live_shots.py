@@ -602,6 +602,21 @@ def test_hindrance_missing_monitor_blocks_and_disabled_monitor_suspends(
         shots_of(plan, bench, monitored=True).hindrance(step)
 
 
+def test_hindrance_monitor_that_connects_per_shot_has_first_shot_of_each_run(plan: CampaignPlan) -> None:
+    """It stays absent until it answers a struck ball."""
+    absent = {**NO_LAUNCH_MONITOR, "presence": "per_shot", "present": False, "note": ""}
+    bench = StandingBench(launch_monitor=absent, supply_pressure_pa=None)
+    first, second = a_step(), a_step()
+    for _ in range(2):
+        source = shots_of(plan, bench, monitored=True)
+        assert [source.hindrance(first) for _ in range(2)] == [None, None]
+        blocked = source.hindrance(second)
+        assert blocked is not None
+        assert "connects per shot" in blocked.text
+    bench._status["launch_monitor"] = {**absent, "note": "not listening"}
+    assert shots_of(plan, bench, monitored=True).hindrance(first) is not None
+
+
 @pytest.mark.parametrize(
     ("state", "phase", "pressure", "least", "hindered"),
     [

@@ -38,6 +38,18 @@ def test_campaign_new_writes_commented_plan_with_computed_blocks(call: Run, tmp_
     assert call("check", "two-balls.toml").code == 0
 
 
+@pytest.mark.usefixtures("call")
+@pytest.mark.parametrize("monitored", [False, True])
+def test_campaign_new_on_machine_reports_what_it_lacks(run: Run, tmp_path: Path, monitored: bool) -> None:
+    bench = tmp_path / "bench.toml"
+    monitor = "[launch_monitor]\nenabled = true\n" * monitored
+    bench.write_text(f'base = "shipped"\n[driver]\nname = "mock"\n{monitor}')
+    done = run("--config", bench, "campaign", "new", "a.toml", *TWO, *SIZES)
+    assert done.code == 0, done.err
+    assert ("[launch_monitor] enabled = true" in done.err) is not monitored
+    assert "magazine of at least 1" in done.err
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--control", "range")], ids=" ".join)
 @pytest.mark.parametrize("difference", release_except({"1.5"}, ["1", "1.5", "2.74"]))
