@@ -487,7 +487,7 @@ def test_wiring_step_wrong_machine_raises_fault(name: str) -> None:
 @pytest.mark.release
 @pytest.mark.timeout(900)
 def test_commission_drawn_robot_errors_cover_true_values(
-    tmp_path: Path, configuration: Configuration
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     truth, turns = drawn_robot(3, configuration.plant), list[float]()
     state = begin(tmp_path, configuration, simulated=True)
@@ -498,7 +498,7 @@ def test_commission_drawn_robot_errors_cover_true_values(
             turns.append(pressure)
             turn(pressure)
 
-        machine.set_supply = turned_once(counted)  # type: ignore[method-assign]
+        monkeypatch.setattr(machine, "set_supply", turned_once(counted))
         known = commission(state, configuration.plant, machine)
         assert machine.loads.stop_share < 1.0
         assert machine.loads.lowest_clearance > -0.005

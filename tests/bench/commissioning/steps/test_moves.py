@@ -95,7 +95,7 @@ def test_fold_joint_that_moves_wrong_way_is_fault_at_low_pressure(joint: str) ->
 
 
 @pytest.mark.slow
-def test_measure_wiring_turns_regulator_five_times() -> None:
+def test_measure_wiring_turns_regulator_five_times(monkeypatch: pytest.MonkeyPatch) -> None:
     turns = list[float]()
     with SimulatedMachine(PLANT, PLANT) as machine:
         real, names = machine.set_supply, list[str]()
@@ -105,14 +105,14 @@ def test_measure_wiring_turns_regulator_five_times() -> None:
             names.append(f"{pressure:g} Pa")
             real(pressure)
 
-        machine.set_supply = turned_once(turn)  # type: ignore[method-assign]
+        monkeypatch.setattr(machine, "set_supply", turned_once(turn))
         run = machine.run
 
         def noted(segments: tuple[Segment, ...], bounds: MotionBounds, doing: str = "") -> MotionTrace:
             names.append(doing)
             return run(segments, bounds, doing)
 
-        machine.run = noted  # type: ignore[method-assign]
+        monkeypatch.setattr(machine, "run", noted)
         known = RobotEstimate(PLANT)
         WIRING.estimate(WIRING.measure(machine, known), known)
     assert turns == [FAINT, MOVING, PRESSING, MOVING, PRESSING]
