@@ -16,7 +16,7 @@ STATUS_VERSION = 1
 
 
 BAR_HOMING = frozenset({Block.INPUTS, Block.UNREADABLE})
-"""Reasons that block homing, too."""
+"""Reasons that also block homing."""
 
 
 class ArmingBlock(TypedDict):

@@ -59,7 +59,7 @@ VENTING_WORDS = {
 ARMING_BLOCKED = "Remove what blocks arming, then arm; or open the access."
 """Next step of a bench that configuration, calibrations or profile keep from being armed."""
 
-HOMING_BLOCKED = "Remove what blocks homing, then home the robot."
+HOMING_BLOCKED = "Remove the block of homing, then home the robot."
 """Next step of a bench whose inputs or calibrations keep it from being homed."""
 
 CHECK_INPUTS = "golfbench calibrate inputs, once golfbench run has ended"
@@ -119,7 +119,7 @@ def next_command(status: BenchStatus) -> str:
 
 
 def _homing_blocks(status: BenchStatus) -> set[Block]:
-    """Return what keeps a robot in SAFE from being homed."""
+    """Return the reasons that keep a robot in SAFE from being homed."""
     safe = status["state"] == State.SAFE.name
     return {block["code"] for block in status["arming_blocks"] if safe} & BAR_HOMING
 

@@ -57,7 +57,7 @@ def new(
     """
     from bench.campaign.plan.shot_sequence import all_trials
     from bench.campaign.report.preview import outlook_words
-    from bench.campaign.run.plan_requirements import machine_refusals, needs
+    from bench.campaign.run.plan_requirements import needs
 
     name = _plan_name(file)
     given: dict[str, Any] = {"compare": compare, "ball": ball, "club": club, "swing": swing}
@@ -84,6 +84,13 @@ def new(
     for line in outlook_words(plan):
         typer.echo(line)
     typer.echo(f"Written: {file}. Shot order: golfbench campaign check {file}")
+    _report_refusals(plan, configuration)
+
+
+def _report_refusals(plan: CampaignPlan, configuration: Configuration) -> None:
+    """Print the reasons why the machine would refuse `plan`."""
+    from bench.campaign.run.plan_requirements import machine_refusals
+
     if configuration.driver.name != "sim":
         for refusal in machine_refusals(plan, {}, monitored=configuration.launch_monitor.enabled):
             typer.echo(f"Before it runs on this machine: {refusal}", err=True)

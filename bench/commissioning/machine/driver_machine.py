@@ -70,7 +70,7 @@ class LongStall(Stalled):
 
 
 REPEATS = 9
-"""Max repetitions of what a stall of the computer ended."""
+"""Max repetitions of a step or stage that a stall of the computer ended."""
 
 
 class StoppedByPerson(Refused):
@@ -174,7 +174,7 @@ class DriverMachine:
             passed = None if bounds is None else bound_passed(bounds, self._speed(), still, self._pressure())
             if passed:
                 self.make_passive()
-                action = "Look for a valve that moves by itself, or an encoder that jumps."
+                action = "Look for a valve that moves without a command, or an encoder that jumps."
                 raise MachineFault("robot between two motions", passed.text, "rest", action)
         except Refused as error:
             if held:
@@ -261,7 +261,7 @@ class DriverMachine:
 
         Raises:
             Refused: the machine may not move, or became passive since the last motion: its joints are no
-                longer where a step left them, and persons may have been at it. Venting begins anew.
+                longer where a step left them, and persons may have been at it. Begin with venting.
         """
         if self._dropped is not None:
             raise self._dropped

@@ -184,7 +184,7 @@ class LiveRobot:
         self._hands.regulator(pressure)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds, doing: str = "") -> MotionTrace:
-        """Run `segments`; afterwards the last openings stay in force. A line announces what is `doing`."""
+        """Run `segments`; afterwards the last openings stay in force. A line announces `doing`."""
         if doing:
             self._hands.say(f"Moves: {doing}.")
         return self._trace("run", segments, bounds)

@@ -40,7 +40,7 @@ def test_campaign_new_writes_commented_plan_with_computed_blocks(call: Run, tmp_
 
 @pytest.mark.usefixtures("call")
 @pytest.mark.parametrize("monitored", [False, True])
-def test_campaign_new_on_machine_reports_what_it_lacks(run: Run, tmp_path: Path, monitored: bool) -> None:
+def test_campaign_new_on_machine_reports_refusals(run: Run, tmp_path: Path, monitored: bool) -> None:
     bench = tmp_path / "bench.toml"
     monitor = "[launch_monitor]\nenabled = true\n" * monitored
     bench.write_text(f'base = "shipped"\n[driver]\nname = "mock"\n{monitor}')

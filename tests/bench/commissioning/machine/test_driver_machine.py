@@ -83,7 +83,7 @@ class ReopenedDriver(FaultyDriver):
 
 
 @pytest.mark.parametrize("inputs", ["read", "low"])
-def test_driver_machine_device_late_while_it_is_reopened_reports_stall(inputs: str) -> None:
+def test_driver_machine_late_while_reopened_reports_stall(inputs: str) -> None:
     """Three seconds pass between the stall and the refusal; inputs of a passive device may read low."""
     driver = ReopenedDriver(build_plant(PLANT))
     with DriverMachine(driver, PLANT, JumpingClock(driver, 0.06)) as machine:  # type: ignore[arg-type]

@@ -78,7 +78,7 @@ def test_fold_presses_joint_that_friction_holds_before_next_moves() -> None:
 
 
 @pytest.mark.parametrize("joint", JOINTS)
-def test_fold_joint_at_its_stop_answers_by_upward_motion(joint: str) -> None:
+def test_fold_joint_at_stop_answers_by_upward_motion(joint: str) -> None:
     machine = Scripted()
     machine.angle[JOINTS.index(joint)] = machine.stops[0][JOINTS.index(joint)]
     fold(machine, RobotEstimate(PLANT))
