@@ -251,20 +251,10 @@ def move_to_stop(
 
 
 def fold(machine: CommissionedMachine, known: RobotEstimate) -> None:
-    """Move all joints of the vented robot to their lower stops as `fold_gently`, then press them there.
+    """Move all joints of the vented robot to their lower stops, the club first, and press them there.
 
-    Raises:
-        MachineFault: a bound was passed, a joint moves the wrong way, or a driving chamber does not fill.
-    """
-    fold_gently(machine, known)
-    for joint in FOLD_ORDER:
-        pressed_to_stop(machine, known, joint, "lower", FOLD_ORDER)
-
-
-def fold_gently(machine: CommissionedMachine, known: RobotEstimate) -> None:
-    """Move all joints of the vented robot to their lower stops at a supply of `MOVING`, the club first.
-
-    The guard may have been open: each joint answers at this supply, unless friction holds it.
+    The guard may have been open: each joint answers at a supply of `MOVING`, unless friction holds it, before
+    the supply is turned up.
 
     Raises:
         MachineFault: a bound was passed, a joint moves the wrong way, or a driving chamber does not fill.
@@ -275,6 +265,8 @@ def fold_gently(machine: CommissionedMachine, known: RobotEstimate) -> None:
     for joint in (joint for joint, answered in zip(FOLD_ORDER, moved, strict=True) if not answered):
         for side in SIDES:
             _move_gently(machine, known, joint, side, FOLD_ORDER)
+    for joint in FOLD_ORDER:
+        pressed_to_stop(machine, known, joint, "lower", FOLD_ORDER)
 
 
 def _move_gently(
@@ -315,7 +307,8 @@ def at_both_stops(
     The machine is vented before and afterwards.
     """
     machine.vent()
-    fold_gently(machine, known)
+    fold(machine, known)
+    machine.set_supply(MOVING)
     traces: dict[str, MotionTrace] = {}
     for joint in FOLD_ORDER[::-1]:
         traces[f"{JOINTS[joint]} lower"] = trace(machine, known, joint, "lower")
