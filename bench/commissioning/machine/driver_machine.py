@@ -136,6 +136,8 @@ class DriverMachine:
         self._readings["chamber_pressure"] = self._readings["supply_pressure"] = ABSENT
         self._applied = Command()
         self._bounds: MotionBounds | None = None
+        self._has_run = False
+        """Whether air is on by `run`, not by `watch`, which expects open interlocks."""
         self._dropped: Refused | None = None
         """Error that made the machine passive between two motions since it was last vented."""
         driver.open()
@@ -167,7 +169,7 @@ class DriverMachine:
 
     def hold(self) -> None:
         """Repeat the last command for a tick; passive from then on if a bound is passed or readings fail."""
-        bounds, still, held = self._bounds, np.zeros(3), self._applied.supply_enable
+        bounds, still, held = self._bounds, np.zeros(3), self._applied.supply_enable and self._has_run
         try:
             self._applied = self._driver.write(self._applied)
             self._next(stoppable=False)  # the next order is no stop
@@ -221,6 +223,7 @@ class DriverMachine:
             MachineFault: a joint moves with air on and the guard closed; one of a robot that is to be
                 measured, whose spools may be off their centres, faster than `ADRIFT` allows.
         """
+        self._has_run = False
         if not self._driver.operational:
             self._revive(interlocks=False)
         begun = changed = self._now
@@ -265,6 +268,7 @@ class DriverMachine:
         """
         if self._dropped is not None:
             raise self._dropped
+        self._has_run = True
         if not self._applied.supply_enable:
             if not self._permitted:
                 raise without_press()

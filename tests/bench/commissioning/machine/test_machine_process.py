@@ -186,6 +186,19 @@ def test_machine_server_hold_open_interlock_makes_passive(
     server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
 
 
+def test_machine_server_run_after_inputs_check_ignores_guard_opened_in_it(
+    server: MachineServer, tmp_path: Path
+) -> None:
+    air = Command(supply_enable=True)
+    with SurroundingsWriter(tmp_path) as surroundings:
+        surroundings.change(guard_closed=False)
+        server.obey("watch", air, None, math.inf, 0.01, 0.01)
+        server.hold()
+        surroundings.change(guard_closed=True)
+        server.obey("watch", air, None, math.inf, 0.01, 0.01)
+    server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
+
+
 def test_machine_server_hold_with_order_waiting_keeps_valve_commands(
     server: MachineServer, driver: WatchedDriver, asked: list[bool]
 ) -> None:
