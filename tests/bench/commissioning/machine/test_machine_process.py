@@ -186,7 +186,7 @@ def test_machine_server_hold_open_interlock_makes_passive(
     server.obey("run", (Segment(0.1, OPENING),), BOUNDS)
 
 
-def test_machine_server_run_after_inputs_check_ignores_guard_opened_in_it(
+def test_machine_server_run_ignores_guard_opened_in_inputs_check(
     server: MachineServer, tmp_path: Path
 ) -> None:
     air = Command(supply_enable=True)
