@@ -119,7 +119,7 @@ def test_stall_note_device_fault_takes_precedence() -> None:
 
 
 def test_stall_note_passive_device_after_late_loop_reports_stall() -> None:
-    """A node whose timer has expired reports an error of its own: 8130h."""
+    """A node whose timer has expired reports an error: 8130h."""
     cycles, fault = records(), "node 13 reports error 8130h, register 11h"
     assert stall_note(cycles, Cause.DEVICE_PASSIVE, LOST_TIME, PERIOD, fault) == fault
     cycles["measured_step"][-3] = 0.061

@@ -1,4 +1,4 @@
-"""Parts have no machine code of their own, unless Python calls them; numba's internals are as expected."""
+"""Parts have no separate machine code, unless Python calls them; numba's internals are as expected."""
 
 from __future__ import annotations
 
