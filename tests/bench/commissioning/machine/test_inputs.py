@@ -509,6 +509,7 @@ def test_await_local_reset_without_press_is_refused(wired: Configuration, stuck:
 
 
 SLOWLY = (Segment(0.05, (0.0, 0.0, 0.0)),)
+OPENED = {"guard_closed": "guard is open", "emergency_stop_clear": "emergency stop"}
 
 
 @pytest.mark.parametrize("field", ["guard_closed", "emergency_stop_clear"])
@@ -523,9 +524,12 @@ def test_machine_run_after_open_interlock_requires_new_press(wired: Configuratio
             machine.hold()
         machine.hold()
         assert not machine.may_move()
-        with pytest.raises(Refused, match="local reset"):
+        with pytest.raises(Refused, match=OPENED[field]):
             machine.run(SLOWLY, ADRIFT)
         assert machine.driver.applied == PASSIVE
+        machine.vent()
+        with pytest.raises(Refused, match="local reset"):
+            machine.run(SLOWLY, ADRIFT)
         await_local_reset(machine, machine.hands)
         machine.run(SLOWLY, ADRIFT)
 
