@@ -85,7 +85,6 @@ from drivers.launch_monitor.open_connect import club_code
 
 _log = logging.getLogger("golfbench")
 
-"""Blocks that bar homing too: no interlock is verified."""
 _TURN = 0.01
 """Period of the supervisor, s."""
 _LOOP_SILENCE = 0.5
