@@ -28,17 +28,24 @@ class _Code(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
         if self.is_part:
             self._finalized = True
             return
-        self._linking_libraries = list(_below(self, {}))
+        # Callers first: LLVM links a function only if it is called from code that it has linked before.
+        self._linking_libraries = list(reversed(_below(self, {})))
         super().finalize()
+
+    def _verify_declare_only_symbols(self) -> None:
+        """Raise AssertionError for a compiled function without its code: the first call of it would crash."""
+        for function in self._final_module.functions:
+            if function.is_declaration and function.name.startswith("_ZN"):
+                raise AssertionError(f"{self.name} calls {function.name}, which is not linked")
 
 
 def _below(code: Any, found: dict[Any, None]) -> dict[Any, None]:
-    """Return the code that `code` calls, and that its parts call, each once."""
+    """Return the code that `code` calls, and that its parts call, each once, behind all that it calls."""
     for called in code._linking_libraries:
         if called not in found:
-            found[called] = None
             if getattr(called, "is_part", False):
                 _below(called, found)
+            found[called] = None
     return found
 
 

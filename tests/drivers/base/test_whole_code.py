@@ -35,6 +35,20 @@ def test_part_is_compiled_into_caller_only() -> None:
     assert not _sum_of_squares.overloads  # type: ignore[attr-defined]
 
 
+@compiled
+def _chosen(number: float, squared: bool) -> float:
+    return _square(number) if squared else number
+
+
+@compiled
+def _either(a: float, b: float) -> float:
+    return _chosen(a, False) + _chosen(b, a > 0.0)  # the first version calls nothing
+
+
+def test_part_dropped_in_caller_is_linked_for_another_part() -> None:
+    assert _either(3.0, 4.0) == 19.0
+
+
 def test_part_called_by_python_gets_machine_code() -> None:
     assert _length(3.0, 4.0) == 5.0
     assert _square(3.0) == 9.0
