@@ -45,8 +45,8 @@ def run_once(plan: CampaignPlan, configuration: Configuration, entry: CampaignEn
     """Run or resume `entry` in this process."""
     profiles = require_swings(plan, configuration)
     data_dir = configuration.bench.data_dir
-    source = SimulatedShots(plan, configuration, AsDesigned(profiles), never)
     with (
+        SimulatedShots(plan, configuration, AsDesigned(profiles), never) as source,
         open_database(database_url("", data_dir)) as engine,
         runner_lock(data_dir, entry.id),
     ):

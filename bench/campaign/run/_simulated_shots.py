@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 from itertools import islice
 from math import pi
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, Self
 from zlib import crc32
 
 import numpy as np
@@ -144,6 +144,12 @@ class SimulatedShots(ShotSource):
         self._pool = ThreadPoolExecutor(_BENCHES, "swing-ahead")
         self._ahead: dict[tuple[Arm, int, int], Future[_Swing]] = {}
         """Swings started ahead of their turn, by arm, number and ball."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
 
     def time_of(self, number: int) -> datetime:
         """Return the time of shot `number`."""

@@ -139,7 +139,8 @@ def run_campaign(
         corrections = CampaignCorrections(entry, plan, configuration, store.database, profiles)
         source: ShotSource
         if not live:
-            source = SimulatedShots(plan, configuration, corrections, interrupted, measured)
+            shots = SimulatedShots(plan, configuration, corrections, interrupted, measured)
+            source = stack.enter_context(shots)
         else:
             stack.enter_context(bench_lock(data_dir, entry.bench, entry.id))
             client = stack.enter_context(BenchClient.connect(configuration))

@@ -70,18 +70,19 @@ def test_simulated_shots_are_independent_of_previous_shots(
 def test_simulated_shots_foreseen_equal_those_taken_alone(
     source: SimulatedShots, plan: CampaignPlan, configuration: Configuration, profiles: AsDesigned
 ) -> None:
-    trials, ahead = all_trials(plan), SimulatedShots(plan, configuration, profiles, never)
+    trials = all_trials(plan)
     club = trials[8].arm.club
     coming = [number for number in range(8, 20) if trials[number].arm.club == club]
-    _take(ahead, plan, coming[0])  # arms
-    for number, after in pairwise(coming[1:6]):
-        ahead.foresee(number, iter([(trials[number], 1), (trials[after], 2)]))  # the second is not taken
-        assert ahead._ahead
-        found, expected = _take(ahead, plan, number), _take(source, plan, number)
-        assert found.shot == expected.shot
-        assert found.cycles is not None
-        assert expected.cycles is not None
-        assert found.cycles.tobytes() == expected.cycles.tobytes()
+    with SimulatedShots(plan, configuration, profiles, never) as ahead:
+        _take(ahead, plan, coming[0])  # arms
+        for number, after in pairwise(coming[1:6]):
+            ahead.foresee(number, iter([(trials[number], 1), (trials[after], 2)]))  # the second is not taken
+            assert ahead._ahead
+            found, expected = _take(ahead, plan, number), _take(source, plan, number)
+            assert found.shot == expected.shot
+            assert found.cycles is not None
+            assert expected.cycles is not None
+            assert found.cycles.tobytes() == expected.cycles.tobytes()
 
 
 def test_simulated_shots_differ_by_number_and_ball(source: SimulatedShots, plan: CampaignPlan) -> None:
