@@ -31,7 +31,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PARALLEL := -n 3 --dist loadfile --max-worker-restart 0
 SPREAD := -n 2 --dist worksteal --max-worker-restart 0
 
-test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (7 to 14 minutes)
+test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (6 to 12 minutes)
 	@$(MAKE) --no-print-directory -j3 lint fast
 
 test-all: $(VENV)/.dev  ## slow and paced tests in parallel, then live ones alone (ARGS for pytest)
