@@ -16,6 +16,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 
 from drivers.base.compile_report import progress
+from drivers.base.kept_code import keeps
 
 
 class _Code(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
@@ -52,9 +53,8 @@ def _below(code: Any, found: dict[Any, None]) -> dict[Any, None]:
 class _Parts:
     """The versions of a function for calls by compiled code."""
 
-    def __init__(self, made: Any, is_kept: Any) -> None:
+    def __init__(self, made: Any) -> None:
         self._made = made
-        self._is_kept = is_kept
         self._versions: dict[tuple[Any, ...], tuple[Any, Any]] = {}
         """Signature and key of the code, by types of arguments."""
 
@@ -76,7 +76,7 @@ class _Parts:
         return self._versions[arguments]
 
     def _compiled(self, arguments: tuple[Any, ...]) -> tuple[Any, Any]:
-        if arguments in self._made.overloads or self._is_kept(self._made, arguments):
+        if arguments in self._made.overloads or keeps(self._made, arguments):
             key = self._made.compile(arguments)
             return self._made.overloads[arguments].signature, key
         maker = self._made._compiler
@@ -110,12 +110,9 @@ def _general(kind: Any) -> Any:
     return types.int64 if is_integer else kind
 
 
-def make_part(made: Any, is_kept: Any) -> None:
-    """Let the function that numba has `made` be a part of compiled functions that call it.
-
-    `is_kept(made, types)` returns whether there is machine code of it on disk, which is used then.
-    """
-    parts = _Parts(made, is_kept)
+def make_part(made: Any) -> None:
+    """Let the function that numba has `made` be a part of functions that call it, unless it is on disk."""
+    parts = _Parts(made)
     made.get_call_template, made.get_overload = parts.template, parts.overload
 
 

@@ -51,13 +51,13 @@ def _compiled(function: _Function, **options: bool) -> _Function:
     import numba
 
     from drivers.base._whole_code import make_part
-    from drivers.base.kept_code import keep_code, keeps
+    from drivers.base.kept_code import keep_code
 
     if numba.config.DISABLE_JIT:
         raise RuntimeError(f"compilation is off by numba's file of settings: set {PLAIN}=1 in its place")
     progress.known += 1
     made = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-    make_part(made, keeps)
+    make_part(made)
     keep_code(made, function.__module__)
     return cast(_Function, made)
 

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.base._whole_code import make_part
 from drivers.base.compiled import compiled, fields, new_record
-from drivers.base.kept_code import keep_code, keeps
+from drivers.base.kept_code import keep_code
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 
@@ -61,7 +61,7 @@ def test_part_with_kept_machine_code_is_not_compiled_again(monkeypatch: pytest.M
 
     def made() -> Any:
         function = numba.njit(double)
-        make_part(function, keeps)
+        make_part(function)
         keep_code(function, __name__)
         return function
 
