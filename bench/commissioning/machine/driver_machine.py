@@ -131,7 +131,8 @@ class DriverMachine:
         self._stall, self._stalled_at, self._long_stall = "", 0.0, False
         """The last stall in words, its end (s), and whether a guard may have been opened and shut in it."""
         self._seen = deque[tuple[NDArray[np.int64], Array]](maxlen=_SPEED_SPAN + 1)
-        """Counts (3,) and times of the samples (3,), s, of the last ticks."""
+        """Counts (3,) and times of the samples (3,), s, of the last ticks since the device was opened, from
+        where each encoder has been sampled."""
         self._readings = new_record(READINGS)
         self._readings["chamber_pressure"] = self._readings["supply_pressure"] = ABSENT
         self._applied = Command()
@@ -335,6 +336,7 @@ class DriverMachine:
         if not self._driver.operational:
             self._driver.close()
             self._driver.open()
+            self._seen.clear()
             self._read()
         elif not self._fault.text:
             return
@@ -406,7 +408,8 @@ class DriverMachine:
             )
             self._stalled_at = self._now
         counts, times = self._readings["encoder_count"][0], self._readings["encoder_time"][0]
-        self._seen.append((np.array(counts, np.int64), np.array(times)))
+        if np.isfinite(times).all():
+            self._seen.append((np.array(counts, np.int64), np.array(times)))
 
     def _speed(self) -> Array:
         """Return the joints' speeds (3,) between the samples of the last ticks, rad/s."""

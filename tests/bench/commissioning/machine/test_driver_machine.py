@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import re
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from bench.base.errors import Refused
 from bench.commissioning.machine.driver_machine import DriverMachine, LongStall, Stalled
 from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
-from drivers.base import INVALID
+from drivers.base import INVALID, Command
 from sim.driver import SimDriver
 from sim.plant import PlantParameters, build_plant
 
@@ -95,6 +96,33 @@ def test_driver_machine_late_while_reopened_reports_stall(inputs: str) -> None:
             machine.vent()
         driver.plant_state["guard_closed"] = True
         machine.vent()
+
+
+class UnsampledDriver(FaultyDriver):
+    """Its encoders are not sampled in the first 3 ms after it is opened."""
+
+    opened_at = math.nan
+
+    def open(self) -> None:
+        super().open()
+        self.fault, self.opened_at = "", math.nan
+
+    def read_record(self, time: float, record: np.ndarray[Any, Any]) -> None:
+        super().read_record(time, record)
+        self.opened_at = time if math.isnan(self.opened_at) else self.opened_at
+        if time < self.opened_at + 0.003:
+            record["encoder_valid"], record["encoder_time"] = 0, math.nan
+
+
+@pytest.mark.parametrize("doing", ["watch", "run"])
+def test_driver_machine_reopened_awaits_samples_of_encoders(doing: str) -> None:
+    driver = UnsampledDriver(build_plant(PLANT))
+    with DriverMachine(driver, PLANT) as machine:
+        driver.fault = "node 10 reports error 8250h"
+        if doing == "watch":
+            machine.watch(Command(supply_enable=True, beacon=True), None, math.inf, 0.1, 0.2)
+        else:
+            assert machine.run((Segment(0.1, (0.0, 0.0, 0.0)),), BOUNDS).tripped is None
 
 
 @pytest.mark.parametrize(("stall", "error"), [(0.5, Stalled), (5.0, LongStall)])
