@@ -22,6 +22,10 @@ command plane drops a request that has waited for longer than this less half a s
 it."""
 
 
+_READING = 600.0
+"""Time in which a person reads the gauges after a request was refused for them (s)."""
+
+
 @compiled
 def note_local_reset(s: Any, pressed: bool, time: float) -> None:
     """Store the time of the last press of the local reset; a level never seen low is no press."""
@@ -129,8 +133,10 @@ def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
     if not (s.vented and time - s.venting.start >= p.rest_time_vented):
         return _not_vented(p, s, readings)
     # Time and a vent's position prove no flow: without a sensor's evidence a person reads the gauge. Even
-    # after a press the first request is refused: its sender learns that the supply is locked.
-    read = p.local_reset and _is_confirmed(p, s, time) and s.refusal == Refusal.GAUGE
+    # after a press the first request is refused: its sender learns that the supply is locked. A press long
+    # after that tells of no reading.
+    asked = s.refusal == Refusal.GAUGE and time - s.gauge_refused <= _READING
+    read = p.local_reset and _is_confirmed(p, s, time) and asked
     unread = (s.venting.trapped or not all_chambers_are_seen(s.sensors)) and not read
     return Refusal.GAUGE.value if unread else Refusal.NONE.value
 
@@ -213,6 +219,8 @@ def handle_request(state: Any, parameters: Any, readings: Any, time: float) -> i
         return int(request)
     s.answered_number = s.request_number
     s.refusal = check_request(state, parameters, readings, request, time)
+    if s.refusal == Refusal.GAUGE:
+        s.gauge_refused = time
     if s.refusal != 0:
         s.answer = Answer.REFUSED
         return 0

@@ -218,6 +218,7 @@ CONTROL_STATE = np.dtype(
         ("guard_was_opened", "?"),  # seen open in ACCESS: a person may be inside until SECURE ends it
         ("reset_was_low", "?"),
         ("reset_pressed", "f8"),  # s
+        ("gauge_refused", "f8"),  # s, the last refusal for the gauges
         ("tee", "?"),
         ("swings", "i8"),
         # Motion and commands.
@@ -327,7 +328,7 @@ def new_control_state(state: State = State.READY) -> ControlState:
     control["device_operational"] = True
     control["sensors"]["emptied"] = 1  # before air was on there is no decay to be seen
     venting["rest_angle"] = np.nan
-    for name in ("reset_pressed", "stopped_at", "moved_at", "still_since"):
+    for name in ("reset_pressed", "gauge_refused", "stopped_at", "moved_at", "still_since"):
         control[name] = -np.inf
     for name in ("start", "empty_since", "drained_at"):
         venting[name] = -np.inf

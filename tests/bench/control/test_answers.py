@@ -350,22 +350,23 @@ def test_check_request_access_within_rest_time_refuses(good: Make, since: float,
 
 
 @pytest.mark.parametrize(
-    ("fitted", "pressed", "before"),
+    ("fitted", "pressed", "before", "since", "read"),
     [
-        (True, NOW, Refusal.GAUGE),
-        (True, NOW, Refusal.NONE),
-        (True, -inf, Refusal.GAUGE),
-        (False, NOW, Refusal.GAUGE),
+        (True, NOW, Refusal.GAUGE, 600.0, True),
+        (True, NOW, Refusal.GAUGE, 600.0 + 2.0**-20, False),
+        (True, NOW, Refusal.NONE, 600.0, False),
+        (True, -inf, Refusal.GAUGE, 600.0, False),
+        (False, NOW, Refusal.GAUGE, 600.0, False),
     ],
 )
-def test_check_request_access_with_trapped_air_requires_press(
-    good: Make, fitted: bool, pressed: float, before: Refusal
+def test_check_request_access_with_trapped_air_requires_press_soon_after_refusal(
+    good: Make, fitted: bool, pressed: float, before: Refusal, since: float, read: bool
 ) -> None:
     situation = good(Request.ACCESS)
     s, situation.parameters.control["local_reset"] = situation.state.control, fitted
     s["venting"]["trapped"], s["reset_pressed"], s["refusal"] = True, pressed, before
-    gauge_was_read = fitted and pressed == NOW and before is Refusal.GAUGE
-    assert situation.refusal(Request.ACCESS) is (Refusal.NONE if gauge_was_read else Refusal.GAUGE)
+    s["gauge_refused"] = NOW - since
+    assert situation.refusal(Request.ACCESS) is (Refusal.NONE if read else Refusal.GAUGE)
 
 
 @pytest.mark.parametrize(("since", "refusal"), [(1.5 - 2.0**-40, Refusal.STOPPED), (1.5, Refusal.NONE)])
