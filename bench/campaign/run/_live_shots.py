@@ -172,7 +172,7 @@ class LiveShots(ShotSource):
         """Weights requested from the bench, and its number of the correction."""
         self._monitored = bool(entry.real_time.get("launch_monitor"))
         self._measured = measured or {}
-        self._ball_chosen, self._stays_armed = False, True
+        self._ball_chosen = False
         self._supply_shut = not entry.simulated
         """Whether a person may have shut the supply for the access; unknown if an earlier run granted it."""
         self._before_arming = ""
@@ -341,7 +341,7 @@ class LiveShots(ShotSource):
         if self._short_of_air(step, status):
             raise ShotPostponed(*self._events)
         self._short = ""
-        if self._must_practise(step) and not status["ball_present"]:
+        if self._must_practise(step, status) and not status["ball_present"]:
             self._practise()
             return False
         self._correct(step, status)
@@ -381,18 +381,20 @@ class LiveShots(ShotSource):
         with _suspending():
             return self._swings.refresh(drift, number, learner)
 
-    def _must_practise(self, step: Step) -> bool:
-        """Return whether arming left other air for `step` than a swing would: without planned air."""
-        if not (self._plan.warm_up.practice and self._operator.armed_anew and self._stays_armed):
+    def _must_practise(self, step: Step, status: BenchStatus) -> bool:
+        """Return whether arming left other air for `step` than a swing would: in a series, without planned air.
+
+        A bench without series is vented and armed for each swing, also after one without a ball.
+        """
+        if not (self._plan.warm_up.practice and self._operator.armed_anew and status["series"]):
             return False
         return not self._swings.designed((step.trial.arm.swing, step.trial.arm.club)).air
 
     def _practise(self) -> None:
-        """Swing without a ball; not repeated on a bench that does not stay armed after it."""
+        """Swing without a ball."""
         self._operator.request_swing()
         self._operator.armed_anew = False
         self._operator.wait_until_over()
-        self._stays_armed = self._client.status()["state"] == "ARMED"
         self._events.append(("practice", "a swing without a ball, as the bench was re-armed"))
 
     def _ball_as_hit(self, step: Step, number: int, sample: int) -> Ball:
