@@ -175,7 +175,8 @@ def swung_cycles(cycles: np.ndarray[Any, Any], length: int) -> tuple[np.ndarray[
     wanted = np.arange(first, first + length)
     rows = np.searchsorted(cycles["tick"], wanted, side="right") - 1
     missing = cycles["tick"][rows] != wanted
-    # As bytes: numpy joins records field by field and leaves their padding to chance.
-    whole = cycles.view(np.ndarray)[rows].copy()
+    # As bytes: numpy copies records field by field, in milliseconds, and leaves their padding to chance.
+    plain = np.asarray(cycles)
+    whole = plain.view(np.dtype((np.void, plain.itemsize)))[rows].view(plain.dtype)
     whole["angle"][missing] = np.nan
     return whole, missing

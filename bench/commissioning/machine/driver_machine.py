@@ -21,6 +21,7 @@ from bench.commissioning.machine.inputs import SIMULATED_TIMEOUT, Act, OperatorI
 from bench.commissioning.machine.machine import (
     ADRIFT,
     Array,
+    LoggedMotion,
     MotionBounds,
     MotionLog,
     MotionTrace,
@@ -184,6 +185,10 @@ class DriverMachine:
                 self._dropped = error
 
     def vent(self, duration: float = 40.0) -> MotionTrace:
+        """Do as `vent_logged`."""
+        return self.vent_logged(duration).trace()
+
+    def vent_logged(self, duration: float) -> LoggedMotion:
         """Be passive until chambers are empty and joints rest, for at most `duration` (s).
 
         Raises:
@@ -208,7 +213,7 @@ class DriverMachine:
             found += f" in {CHAMBERS[fullest]} after {duration:g} s"
             action = "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside."
             raise MachineFault("vents", found, "empty chambers", action)
-        return log.trace(None, (False,), self._tick)
+        return log.motion(None, (False,), self._tick)
 
     def watch(
         self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
@@ -261,6 +266,10 @@ class DriverMachine:
         raise MachineFault(f"{joint} valve", f"{found} with the spools centred", "rest", action)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds, doing: str = "") -> MotionTrace:
+        """Do as `run_logged`."""
+        return self.run_logged(segments, bounds).trace()
+
+    def run_logged(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> LoggedMotion:
         """Run `segments` with the supply on; afterwards the last openings stay in force.
 
         Raises:
@@ -285,7 +294,7 @@ class DriverMachine:
             ended.append(met)
             if tripped:
                 break
-        return log.trace(tripped, tuple(ended), self._tick)
+        return log.motion(tripped, tuple(ended), self._tick)
 
     def _segment(
         self, segment: Segment, number: int, bounds: MotionBounds, log: MotionLog

@@ -155,12 +155,28 @@ class MotionLog:
         counts = counts if joint is None else counts[:, [joint]]
         return bool(np.max(np.ptp(counts, axis=0)) * (2 * np.pi / self._counts) < _REST)
 
-    def trace(self, tripped: PassedBound | None, ended: tuple[bool, ...], tick: float) -> MotionTrace:
-        """Return the rows, one a `tick` (s): rows that a busy machine missed lie between their neighbours."""
-        rows, n = self._rows[: self._n], self._n
+    def motion(self, tripped: PassedBound | None, ended: tuple[bool, ...], tick: float) -> LoggedMotion:
+        """Return the rows so far, one a `tick` (s) unless some were missed."""
+        return LoggedMotion(self._rows[: self._n], self._first, tripped, ended, tick)
+
+
+class LoggedMotion(NamedTuple):
+    """A sequence as it was logged. Its trace takes milliseconds to make, for which no machine waits."""
+
+    rows: NDArray[Any]
+    """(n,) of _ROW."""
+    first_count: NDArray[np.int64]
+    tripped: PassedBound | None
+    ended: tuple[bool, ...]
+    tick: float
+    """s."""
+
+    def trace(self) -> MotionTrace:
+        """Return the trace, a row a tick: rows that a busy machine missed lie between their neighbours."""
+        rows, n = self.rows, len(self.rows)
         at = np.arange(n, dtype=float)
         if n > 1:
-            number = np.round((rows["time"] - rows["time"][0]) / tick)
+            number = np.round((rows["time"] - rows["time"][0]) / self.tick)
             wanted = np.arange(number[-1] + 1.0)
             if len(wanted) != n:
                 at = np.interp(wanted, number, at)
@@ -170,8 +186,8 @@ class MotionLog:
         valve, shut, segment = (
             rows[name][at.astype(np.int64)] for name in ("valve", "vents_shut", "segment")
         )
-        time = at_rows(time, at)
-        return MotionTrace(time, self._first, count, pressure, supply, valve, shut, segment, tripped, ended)
+        told = count, pressure, supply, valve, shut, segment, self.tripped, self.ended
+        return MotionTrace(at_rows(time, at), self.first_count, *told)
 
 
 def _bridged(table: Array, time: Array) -> Array:

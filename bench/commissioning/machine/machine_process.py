@@ -32,7 +32,7 @@ from bench.base.errors import BenchError, ExitCode, Refused
 from bench.commissioning.machine._machine_server import MachineServer
 from bench.commissioning.machine.commissioning_step import Mark
 from bench.commissioning.machine.inputs import OperatorIO
-from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
+from bench.commissioning.machine.machine import LoggedMotion, MotionBounds, MotionTrace, Segment
 from bench.config import Configuration
 from bench.simulation.safety import Loads
 from bench.simulation.simulated_bench import Bench, SeriesSwing
@@ -187,7 +187,7 @@ class LiveRobot:
         """Run `segments`; afterwards the last openings stay in force. A line announces `doing`."""
         if doing:
             self._hands.say(f"Moves: {doing}.")
-        return self._trace("run", segments, bounds)
+        return self._trace("run_logged", segments, bounds)
 
     def watch(
         self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
@@ -197,7 +197,7 @@ class LiveRobot:
 
     def vent(self, duration: float = 40.0) -> MotionTrace:
         """Be passive until chambers are empty and joints rest."""
-        return self._trace("vent", duration)
+        return self._trace("vent_logged", duration)
 
     def may_move(self) -> bool:
         """Return whether a fitted local reset was pressed since guard or emergency stop last opened."""
@@ -239,7 +239,7 @@ class LiveRobot:
     # Orders --------------------------------------------------------------------------------------------
 
     def _trace(self, order: str, *given: object) -> MotionTrace:
-        trace = cast("MotionTrace", self._order(order, *given))
+        trace = cast("LoggedMotion", self._order(order, *given)).trace()
         if len(trace.time):
             self._time += float(trace.time[-1] - trace.time[0])
         return trace

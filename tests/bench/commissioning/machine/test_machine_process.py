@@ -642,7 +642,7 @@ def test_log_missed_rows_and_invalid_pressures_are_interpolated() -> None:
         readings["time"], readings["encoder_count"] = 7.0 + 0.001 * n, 10 * n
         readings["chamber_pressure"] = INVALID if n == 1 else n
         log.note(readings, Command(valve=(0.01 * n, 0.0, 0.0)), n // 4)
-    trace = log.trace(None, (True,), 0.001)
+    trace = log.motion(None, (True,), 0.001).trace()
     assert trace.time == pytest.approx(7.0 + 0.001 * np.arange(6))
     assert trace.count[:, 0].tolist() == [0, 10, 20, 30, 40, 50]
     assert trace.pressure[:, 0] == pytest.approx(np.arange(6))
