@@ -382,7 +382,7 @@ class LiveShots(ShotSource):
             return self._swings.refresh(drift, number, learner)
 
     def _must_practise(self, step: Step, status: BenchStatus) -> bool:
-        """Return whether arming left other air for `step` than a swing would: in a series, without planned air.
+        """Return whether arming left other air for `step` than a swing: in a series, without planned air.
 
         A bench without series is vented and armed for each swing, also after one without a ball.
         """
