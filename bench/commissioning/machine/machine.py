@@ -164,7 +164,7 @@ class LoggedMotion(NamedTuple):
     """A sequence as it was logged. Its trace takes milliseconds to make, for which no machine waits."""
 
     rows: NDArray[Any]
-    """(n,) of _ROW."""
+    """(n,) records of _ROW."""
     first_count: NDArray[np.int64]
     tripped: PassedBound | None
     ended: tuple[bool, ...]
