@@ -169,7 +169,7 @@ class LoggedMotion(NamedTuple):
     tripped: PassedBound | None
     ended: tuple[bool, ...]
     tick: float
-    """s."""
+    """Period of the rows, s."""
 
     def trace(self) -> MotionTrace:
         """Return the trace, a row a tick: rows that a busy machine missed lie between their neighbours."""
