@@ -493,6 +493,17 @@ def test_handle_request_refused_request_answers_with_refusal(good: Make) -> None
     assert told(situation) == (6, Answer.ACCEPTED, Refusal.NONE, Request.ARM, Request.NONE)
 
 
+def test_handle_request_refused_for_gauges_is_accepted_after_press(good: Make) -> None:
+    situation = good(Request.ACCESS)
+    s, situation.parameters.control["local_reset"] = situation.state.control, True
+    s["venting"]["trapped"], s["reset_pressed"] = True, NOW
+    taken(situation, Request.SWING, 4)
+    assert s["gauge_refused"][0] == -inf
+    assert taken(situation, Request.ACCESS, 5) == Request.NONE
+    assert told(situation) == (5, Answer.REFUSED, Refusal.GAUGE, Request.ACCESS, Request.NONE)
+    assert taken(situation, Request.ACCESS, 6) == Request.ACCESS
+
+
 @pytest.mark.parametrize("stop", STOPS, ids=lambda request: request.name)
 def test_handle_request_stop_without_new_number_keeps_last_answer(good: Make, stop: Request) -> None:
     situation = good(Request.ARM)
