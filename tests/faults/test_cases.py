@@ -60,6 +60,7 @@ def test_vents_stuck_shut_record_not_vented_until_rest(run: Run) -> None:
     assert "moved" not in " ".join(case.reasons)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("signal", "kind", "value", "at", "causes"),
     [

@@ -87,6 +87,7 @@ def test_workbench_requested_stop_is_no_detection(workbench: Workbench, profile:
     assert (outcome.verdict, outcome.detected_by) == ("harmless", "")
 
 
+@pytest.mark.slow
 @needs_speed
 @pytest.mark.parametrize(
     ("name", "at"),

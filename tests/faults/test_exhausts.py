@@ -31,6 +31,7 @@ SAMPLE = {
 INSTANTS = ("hold", "follow-through 10 %", "follow-through 80 %")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", release_except({"follow-through 10 %"}, INSTANTS))
 @pytest.mark.parametrize("share", release_except({0.1}, [0.2, 0.1, 0.03]))
 def test_throttled_exhausts_guard_unlocks_below_holding_pressure(
@@ -54,6 +55,7 @@ def test_throttled_exhausts_guard_unlocks_below_holding_pressure(
     assert moved <= 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault", release_except(SAMPLE, THROTTLED, lambda fault: fault.name), ids=lambda fault: fault.name
 )

@@ -77,6 +77,7 @@ def test_arm_valve_stuck_open_in_emergency_stop_is_safe(run: Run) -> None:
     assert case.verdict == "safe", case.reasons
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("event", ["emergency stop", "guard opened"])
 def test_safety_relay_welded_shut_stop_is_safe(run: Run, event: str) -> None:
     for at in ("hold", "downswing 80 %", "follow-through 10 %"):

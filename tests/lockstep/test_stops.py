@@ -49,6 +49,7 @@ def test_trial_instants_cover_swing_phases(default_profile: Profile) -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "cause"),
     release_except(

@@ -313,6 +313,7 @@ def test_feed_forward_planned_air_omits_dead_band_opening(*, planned: bool) -> N
     assert control["feed_forward"] - ahead - damping == pytest.approx(band, rel=0.1, abs=1e-4)
 
 
+@pytest.mark.slow
 @needs_speed
 @pytest.mark.parametrize("seed", release_except({1000002}, [1000001, 1000002, 1000003, 1000006]))
 def test_arming_soft_shoulder_reaches_address(seed: int) -> None:
