@@ -9,7 +9,7 @@ import pytest
 
 from bench.base.lifecycle import State
 from bench.network.zenoh_session import open_client
-from bench.viewer.feed import Arrived, Feed
+from bench.viewer.feed import TOPICS, Arrived, Feed
 from tests.bench.records.telemetry.fake_bench import BENCH, FakeBench, fake_bench, loopback
 
 Cycles = np.ndarray[Any, Any]
@@ -33,8 +33,8 @@ class Heard:
             self.messages += news.messages
 
     def subscribed(self) -> Self:
-        """Wait until messages get through: a subscription takes its time."""
-        self.until(lambda: bool(self.messages), lambda: self.bench.tell("state", state="READY"))
+        """Wait until messages of the last topic get through: each subscription takes its time."""
+        self.until(lambda: bool(self.messages), lambda: self.bench.tell(TOPICS[-1], state="READY"))
         self.messages.clear()
         return self
 
