@@ -132,8 +132,8 @@ class DriverMachine:
         self._stall, self._stalled_at, self._long_stall = "", 0.0, False
         """The last stall in words, its end (s), and whether a guard may have been opened and shut in it."""
         self._seen = deque[tuple[NDArray[np.int64], Array]](maxlen=_SPEED_SPAN + 1)
-        """Counts (3,) and times of the samples (3,), s, of the last ticks since the device was opened, from
-        where each encoder has been sampled."""
+        """Counts (3,) and times of the samples (3,), s, of the last ticks since the device was opened and all
+        encoders were sampled."""
         self._readings = new_record(READINGS)
         self._readings["chamber_pressure"] = self._readings["supply_pressure"] = ABSENT
         self._applied = Command()
@@ -185,7 +185,7 @@ class DriverMachine:
                 self._dropped = error
 
     def vent(self, duration: float = 40.0) -> MotionTrace:
-        """Do as `vent_logged`."""
+        """Return the trace of `vent_logged`, with its errors."""
         return self.vent_logged(duration).trace()
 
     def vent_logged(self, duration: float) -> LoggedMotion:
@@ -266,7 +266,7 @@ class DriverMachine:
         raise MachineFault(f"{joint} valve", f"{found} with the spools centred", "rest", action)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds, doing: str = "") -> MotionTrace:
-        """Do as `run_logged`."""
+        """Return the trace of `run_logged`, with its errors."""
         return self.run_logged(segments, bounds).trace()
 
     def run_logged(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> LoggedMotion:

@@ -186,8 +186,18 @@ class LoggedMotion(NamedTuple):
         valve, shut, segment = (
             rows[name][at.astype(np.int64)] for name in ("valve", "vents_shut", "segment")
         )
-        told = count, pressure, supply, valve, shut, segment, self.tripped, self.ended
-        return MotionTrace(at_rows(time, at), self.first_count, *told)
+        return MotionTrace(
+            at_rows(time, at),
+            self.first_count,
+            count,
+            pressure,
+            supply,
+            valve,
+            shut,
+            segment,
+            self.tripped,
+            self.ended,
+        )
 
 
 def _bridged(table: Array, time: Array) -> Array:
